@@ -1,49 +1,49 @@
-//! The one error type of the crate.
+//! Error type of the crate.
 
 use std::path::{Path, PathBuf};
 
-/// What went wrong, naming the file or value.
+/// Error that names the file or value.
 ///
-/// Some remedies depend on how the library is called. Such errors have a variant of their own, to
-/// which the command line adds the option that helps.
+/// Some remedies depend on how the library is called. Such errors have a variant of their own, to which the command line adds
+/// the helpful option.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// A file could not be opened or read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's reason.
+        /// Reason from the system.
         source: std::io::Error,
     },
     /// A file could not be created, written or renamed.
     #[error("cannot write {}: {source}", path.display())]
     Write {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's reason.
+        /// Reason from the system.
         source: std::io::Error,
     },
     /// The content of a file is wrong.
     #[error("{}: {error}", path.display())]
     InFile {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong in it.
+        /// Error in its content.
         error: Box<Error>,
     },
     /// Values that contradict each other, or for which the model is not defined; with the remedy.
     #[error("{}", legible(.0))]
     Invalid(String),
-    /// An observation that is impossible, alone or beside the others.
+    /// An observation that is impossible, alone or together with the others.
     #[error("{}", legible(message))]
     Observation {
-        /// Which one, to find its line.
+        /// The observation, to find its line.
         observation: Observed,
-        /// What is wrong with it.
+        /// Description of the error.
         message: String,
     },
-    /// A feature without a blur radius, where the cost needs one.
+    /// A feature without the blur radius that the cost needs.
     #[error("{feature} has no blur radius")]
     NoBlurRadius {
         /// Description of the feature.
@@ -56,7 +56,7 @@ pub enum Error {
         frame: u32,
         /// Number of its board corners.
         corners: usize,
-        /// Smallest number that gives a pose.
+        /// Smallest number that a pose needs.
         needed: usize,
     },
     /// A calibration without micro-image centres.
@@ -67,7 +67,7 @@ pub enum Error {
     /// A part of the input that was not given.
     #[error("{} missing", missing.phrase())]
     Missing {
-        /// Which part.
+        /// The missing part.
         missing: Input,
     },
     /// Only poses were requested, but the camera is given by its datasheet.
@@ -99,7 +99,7 @@ impl Input {
     }
 }
 
-/// What an observation is of.
+/// Identity of an observation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Observed {
     /// The centre of micro-image (k, l).
@@ -122,7 +122,7 @@ pub enum Observed {
     },
 }
 
-/// Numbers of more digits than this are not legible.
+/// Largest number of digits that is legible.
 const MOST_DIGITS: usize = 24;
 
 /// Writes numbers of very many digits with an exponent: 1e308 rather than a 1 with 308 zeros.
@@ -149,12 +149,12 @@ impl Error {
         Self::Invalid(message.into()).in_file(path)
     }
 
-    /// An error about values that contradict each other, or for which something is not defined.
+    /// Creates an error for values that contradict each other, or for which something is not defined.
     pub fn invalid(message: impl Into<String>) -> Self {
         Self::Invalid(message.into())
     }
 
-    /// Adds the file whose content is wrong; errors that name a file already stay as they are.
+    /// Adds the file whose content is wrong. Errors that name a file are returned unchanged.
     #[must_use]
     pub fn in_file(self, path: &Path) -> Self {
         match self {

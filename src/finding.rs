@@ -1,4 +1,4 @@
-//! Findings: everything that is told about images, boards, cameras and results, in one shape.
+//! Findings about images, boards, cameras and results, in one form.
 //!
 //! A finding has a code, a severity, a subject, the measured values behind it, and a remedy. Checks (`crate::checks`)
 //! create findings from measured values; stages return them; verdicts and tests use severities and codes.
@@ -12,7 +12,7 @@ use serde::{Serialize, Serializer};
 
 use crate::quantity::{Estimate, display_unit, fixed, fixed_signed};
 
-/// The consequence of a finding for the camera.
+/// Consequence of a finding for the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Severity {
@@ -24,7 +24,7 @@ pub enum Severity {
     Unusable,
 }
 
-/// The object that a finding is about.
+/// Object that a finding is about.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Subject {
@@ -42,18 +42,18 @@ pub enum Subject {
         /// Name of its image, where it is known.
         #[serde(skip_serializing_if = "Option::is_none")]
         image: Option<String>,
-        /// Whether the frame is not used.
+        /// True if the frame is not used.
         left_out: bool,
     },
     /// A part of the work, such as `point clouds` or the name of a camera that is evaluated.
     Part(String),
 }
 
-/// An order in which the corners of a board may be numbered.
+/// Order in which the corners of a board may be numbered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CornerNumbering {
-    /// row · columns + column, from 0: that of features.
+    /// row · columns + column, from 0: the order of features.
     RowByRow,
     /// column · rows + row, from 0.
     ColumnByColumn,
@@ -64,7 +64,7 @@ pub enum CornerNumbering {
 }
 
 impl CornerNumbering {
-    /// All of them.
+    /// All orders.
     pub const ALL: [Self; 4] =
         [Self::RowByRow, Self::ColumnByColumn, Self::FromOne, Self::FromMinusOne];
 
@@ -78,99 +78,99 @@ impl CornerNumbering {
     }
 }
 
-/// A term of the cost in which an evaluation differs from a problem.
+/// Term of the cost in which an evaluation differs from a problem.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct CostDifference {
-    /// The option of a calibration that decides on it, as in `[calibration]` of a project file.
+    /// Option of a calibration that selects the term, as in `[calibration]` of a project file.
     pub option: &'static str,
-    /// The term in the problem, in words.
+    /// Term in the problem, in words.
     pub problem: String,
-    /// The term in the evaluation, in words.
+    /// Term in the evaluation, in words.
     pub here: String,
 }
 
-/// Something to tell about an input or a result.
+/// Statement about an input or a result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
     /// Consequence for the camera.
     pub severity: Severity,
-    /// The object that it is about.
+    /// Object of the finding.
     pub subject: Subject,
-    /// What was found, with the measured values.
+    /// Kind of finding, with the measured values.
     pub issue: Issue,
-    /// Importance among findings of the same severity: a measured value over its limit, as a rule.
+    /// Importance among findings of the same severity: usually a measured value over its limit.
     pub weight: f64,
 }
 
 impl Finding {
-    /// A finding about the whole input or result.
+    /// Creates a finding about the whole input or result.
     #[must_use]
     pub fn new(severity: Severity, issue: Issue) -> Self {
         Self { severity, subject: Subject::Whole, issue, weight: 1.0 }
     }
 
-    /// A note.
+    /// Creates a note.
     #[must_use]
     pub fn note(issue: Issue) -> Self {
         Self::new(Severity::Note, issue)
     }
 
-    /// A finding that calls for care.
+    /// Creates a finding that calls for care.
     #[must_use]
     pub fn caution(issue: Issue) -> Self {
         Self::new(Severity::Caution, issue)
     }
 
-    /// A finding after which the camera should not be used.
+    /// Creates a finding after which the camera should not be used.
     #[must_use]
     pub fn unusable(issue: Issue) -> Self {
         Self::new(Severity::Unusable, issue)
     }
 
-    /// The finding about this subject.
+    /// Sets the subject.
     #[must_use]
     pub fn about(self, subject: Subject) -> Self {
         Self { subject, ..self }
     }
 
-    /// The finding about a white image.
+    /// Makes a white image the subject.
     #[must_use]
     pub fn about_image(self, name: &str) -> Self {
         self.about(Subject::Image(name.to_owned()))
     }
 
-    /// The finding about a frame, with the name of its image.
+    /// Makes a frame the subject, with the name of its image.
     #[must_use]
     pub fn about_frame(self, frame: u32, image: Option<&str>) -> Self {
         self.about(Subject::Frame { frame, image: image.map(str::to_owned), left_out: false })
     }
 
-    /// A note that a frame is not used, and why.
+    /// Creates a note that a frame is not used, with the reason.
     #[must_use]
     pub fn left_out(frame: u32, image: Option<&str>, issue: Issue) -> Self {
         let image = image.map(str::to_owned);
         Self::note(issue).about(Subject::Frame { frame, image, left_out: true })
     }
 
-    /// The finding with another weight.
+    /// Sets the weight.
     #[must_use]
     pub fn weighing(self, weight: f64) -> Self {
         Self { weight, ..self }
     }
 
-    /// The identifier of its kind, such as `bad-fit`: stable, for programs.
+    /// Returns the identifier of its kind, such as `bad-fit`: stable, for programs.
     #[must_use]
     pub fn code(&self) -> &'static str {
         self.issue.code()
     }
 
-    /// What to do about it; empty where there is nothing to do.
+    /// Returns the remedy; empty if there is none.
     #[must_use]
     pub fn remedy(&self) -> String {
         self.issue.remedy()
     }
 
-    /// What was found, without the remedy.
+    /// Returns the message, without the remedy.
     #[must_use]
     pub fn message(&self) -> String {
         format!("{}{}", self.subject, self.issue)
@@ -178,7 +178,7 @@ impl Finding {
 }
 
 impl fmt::Display for Finding {
-    /// The message and the remedy.
+    /// Writes the message and the remedy.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.message())?;
         match self.remedy() {
@@ -189,7 +189,7 @@ impl fmt::Display for Finding {
 }
 
 impl fmt::Display for Subject {
-    /// The beginning of a message, with a colon; nothing for the whole.
+    /// Writes the beginning of a message, with a colon; nothing for the whole.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Whole => Ok(()),
@@ -222,7 +222,7 @@ pub fn sort(findings: &mut [Finding]) {
     findings.sort_by(|a, b| b.severity.cmp(&a.severity).then(b.weight.total_cmp(&a.weight)));
 }
 
-/// The heaviest severity among findings; `None` without any.
+/// Returns the heaviest severity among findings; `None` without any.
 #[must_use]
 pub fn worst(findings: &[Finding]) -> Option<Severity> {
     findings.iter().map(|finding| finding.severity).max()
@@ -235,7 +235,7 @@ macro_rules! issues {
         $variant:ident $code:literal $({ $($field:ident: $type:ty),* $(,)? })?
             => $text:expr, $remedy:expr;
     )*) => {
-        /// What was found, with the measured values; units are in the names.
+        /// Kind of finding, with the measured values; units are in the names.
         #[derive(Debug, Clone, PartialEq, Serialize)]
         #[serde(untagged)]
         #[allow(missing_docs)] // of fields, whose names say what they are and in which unit
@@ -244,10 +244,10 @@ macro_rules! issues {
         }
 
         impl Issue {
-            /// All codes, in the order of the table.
+            /// Codes of all kinds, in the order of the table.
             pub const CODES: &'static [&'static str] = &[$($code),*];
 
-            /// The identifier of the kind of finding.
+            /// Returns the identifier of the kind of finding.
             #[must_use]
             pub fn code(&self) -> &'static str {
                 match self {
@@ -255,7 +255,7 @@ macro_rules! issues {
                 }
             }
 
-            /// What to do about it.
+            /// Returns the remedy; empty if there is none.
             #[must_use]
             #[allow(unused_variables)] // most remedies need no values
             pub fn remedy(&self) -> String {
@@ -279,7 +279,7 @@ macro_rules! issues {
 const NONE: &str = "";
 /// The remedy for images that were changed after the exposure.
 const SAME_SETTINGS: &str = "take and export all images with the same settings, linear in light";
-/// The remedy where two images of one camera do not lie on each other.
+/// The remedy if two images of one camera do not coincide.
 const NOTHING_MOVED: &str =
     "take both as the camera delivers them, with nothing moved in the camera between";
 
@@ -476,7 +476,7 @@ issues! {
     /// No lattice has enough of the corners.
     NoLattice "no-lattice" =>
         "the corners lie on no lattice", NONE;
-    /// What shows may be one part of the board or another.
+    /// The visible part may be one part of the board or another.
     SeveralPlaces "several-places" { corners: usize, elsewhere: usize } =>
         format!("{corners} corners could be more than one part of the board (as many as {elsewhere} at another place)"),
         "show more of it, or its edges, or correct its size";
@@ -556,30 +556,30 @@ issues! {
     Undetermined "undetermined" { rank: usize, parameters: usize, names: Vec<String> } =>
         format!("the observations determine {rank} of {parameters} parameters; not determined: {}", if names.is_empty() { "some poses".to_owned() } else { names.join(", ") }),
         "fix parameters, or add observations that determine them: frames at other distances and tilts, every lens type";
-    /// The calibration that a camera in use is from has not converged.
+    /// The calibration of the camera in use has not converged.
     CameraNotConverged "camera-not-converged" =>
         "the calibration of this camera has not converged", "calibrate it again";
-    /// The calibration that a camera in use is from has not determined some parameters.
+    /// The calibration of the camera in use has not determined some parameters.
     CameraUndetermined "camera-undetermined" { names: Vec<String> } =>
         format!("the calibration of this camera has not determined {}", names.join(", ")),
         "frames at other distances and tilts would";
-    /// The verdict on the calibration that a camera in use is from.
+    /// The verdict on the calibration of the camera in use is "do not use".
     CameraNotToBeUsed "camera-not-to-be-used" { reasons: Vec<String> } =>
         format!("the verdict on the calibration of this camera is \"do not use\" ({})", reasons.join(", ")),
         "see its report, and calibrate it again";
-    /// The micro-image centres of a camera in use are not those of the white images.
+    /// The micro-image centres of the camera in use differ from the white images.
     CentersContradicted "centers-contradicted" { rms_px: f64, shift_px: [f64; 2], pitch_px: f64 } =>
         format!("the micro-image centres of the camera are {rms_px:.2} px RMS off those of the white images, of which ({}, {}) px are a shift", fixed_signed(shift_px[0], 2), fixed_signed(shift_px[1], 2)),
         "use the camera with images of the same camera, neither cropped, turned nor resized since its calibration; if array or sensor have moved, calibrate it again";
-    /// The blur radii of the lens types of a camera in use are not those of the white images.
+    /// The blur radii of the lens types differ between the camera in use and the white images.
     LensTypesContradicted "lens-types-contradicted" { white_images_px: Vec<f64>, camera_px: Vec<f64>, permuted: Option<Vec<usize>> } =>
         lens_types_text(white_images_px, camera_px, permuted.as_deref()),
         "use the camera with white images of the same camera, whose lens types are counted in the same order";
-    /// A camera is used at another f-number than that of its calibration.
+    /// The camera is used at another f-number than in its calibration.
     OtherFNumber "other-f-number" { camera: f64, boards: f64 } =>
         format!("the camera was calibrated at f/{camera:.2}, and is used at f/{boards:.2}: with spherical aberration, F and the blur change with the aperture"),
         "calibrate it at the f-number of the images, or compare both on boards";
-    /// The blur radii of boards are not those of the fixed camera.
+    /// The blur radii of boards differ from the fixed camera.
     BlurContradicted "blur-contradicted" { rms_std_devs: f64 } =>
         format!("the blur radii of the boards are {rms_std_devs:.0} σ RMS off those of the camera"),
         "check that the camera is of these images and that its focal lengths f_1, f_2 … are in the order of the lens types";
@@ -587,7 +587,7 @@ issues! {
     SquaresContradicted "squares-contradicted" { fitted_mm: Estimate, square_mm: f64 } =>
         format!("the boards fit the camera best with squares of {fitted_mm} mm, and not of {square_mm} mm"),
         "check the size of the squares (square_mm), and that the lens is focused as in the calibration of the camera";
-    /// Rays or points lie far off the boards that a camera was calibrated with.
+    /// Rays or points lie far from the boards that the camera was calibrated with.
     BeyondBoards "beyond-boards" { beyond: usize, all: usize, near_mm: f64, far_mm: f64 } =>
         format!("{} far nearer or further than the boards of the calibration ({near_mm:.0} to {far_mm:.0} mm): the errors of the camera grow there", if *all == 1 { "the distance is".to_owned() } else { format!("{beyond} of {all} distances are") }),
         "see the σ by distance in the report of the calibration; boards at such distances would help";
@@ -595,11 +595,11 @@ issues! {
     OutsideArray "outside-array" { points: usize, first: usize } =>
         format!("{points} point(s) name a micro-lens outside the array (the first is point {first}) and have no metric point"),
         "check that k and l count from 0 as in centers.csv of this camera";
-    /// Virtual points lie far from the micro-image whose index they have.
+    /// Virtual points lie far from the micro-image with their index.
     FarFromMicroImage "far-from-micro-image" { points: usize, first: usize, pitch_px: f64 } =>
         format!("{points} point(s) lie more than a pitch ({pitch_px:.1} px) from the centre of the micro-image whose index they have (the first is point {first})"),
         "check that k, l, u and v are of this camera, in px of the raw image, and not exchanged";
-    /// Virtual depths have the sign that images of the camera cannot have.
+    /// Virtual depths have a sign that images of the camera cannot have.
     DepthsOfOtherSign "depths-of-other-sign" { points: usize, first: usize, galilean: bool } =>
         format!("{points} virtual depth(s) are not {} (the first is of point {first}), but the main lens of this {} camera makes its images {} the array", if *galilean { "positive" } else { "negative" }, if *galilean { "Galilean" } else { "Keplerian" }, if *galilean { "behind" } else { "before" }),
         "check the sign: virtual depths count from the array, and are positive behind it";
@@ -607,7 +607,7 @@ issues! {
     PointsWithoutSigma "points-without-sigma" =>
         "the input states no σ of virtual depths: the points have no σ",
         "give it in a column std_nu, or one for all points";
-    /// The sightings of corners contradict each other.
+    /// The features of a corner contradict each other.
     CornersScatter "corners-scatter" { ratio: f64 } =>
         format!("the features of a corner scatter {ratio:.1} times as much about its point as their σ predicts"),
         "check that the features are of this camera, and that their indices count from 0 as in centers.csv";
@@ -746,10 +746,10 @@ fn other_cost_text(problem: &str, differences: &[CostDifference]) -> String {
     format!("the cost differs from that of the problem in {problem}: {}", all.join("; "))
 }
 
-/// Of more frames the others are counted.
+/// Number of frames above which the others are only counted.
 const MOST_LISTED: usize = 20;
 
-/// Lists the numbers of frames, of many the first ones.
+/// Lists the numbers of frames, the first ones if there are many.
 pub(crate) fn list(numbers: &[u32]) -> String {
     let first: Vec<String> = numbers.iter().take(MOST_LISTED).map(u32::to_string).collect();
     let more = numbers.len() - first.len();
@@ -774,7 +774,7 @@ fn prior_text(
     )
 }
 
-/// What a contradicted prior may mean.
+/// Returns the remedy for a contradicted prior.
 fn prior_remedy(quantity: &str) -> &'static str {
     match quantity {
         "F" | "D" => {
@@ -797,9 +797,9 @@ fn prior_remedy(quantity: &str) -> &'static str {
     }
 }
 
-/// Residuals of a frame that are at most so many times the others' are not worth a word.
+/// Ratio of the residuals of a frame to the others' below which they are not mentioned.
 const LARGER: f64 = 1.25;
-/// The σ of a parameter that is hardly determined is meaningless.
+/// Number of σ above which the σ of a parameter is meaningless, since it is hardly determined.
 const MOST_STD_DEVS: f64 = 1e3;
 
 fn outlying_frame_text(

@@ -87,11 +87,9 @@
 //! - *Camera*: origin at the centre O of the main lens, z towards the scene, x right, y down.
 //! - *Sensor*: the plane z = −(D + d). The image is stored upright, so pixels run against the
 //!   optical image: u = u₀ − x/s, v = v₀ − y/s.
-//! - *Array*: origin at the middle of the micro-lenses, axes those of the camera rotated by
-//!   R = Rz·Ry·Rx. Micro-lens (k, l) forms micro-image (k, l); k grows with u and l with v,
-//!   hence node(k, l) lies at −ΔC times its lattice position.
-//! - *Board*: corners at z = 0, x along its columns, y along its rows. `camera_from_board` takes its
-//!   points into the camera frame.
+//! - *Array*: origin at the middle of the micro-lenses; the axes are the camera's, rotated by R = Rz·Ry·Rx. Micro-lens (k, l)
+//!   forms micro-image (k, l); k increases with u and l with v, so node(k, l) lies at −ΔC times its lattice position.
+//! - *Board*: corners at z = 0, x along a row, y along a column. `camera_from_board` maps its points to the camera frame.
 //! - *Lens types*: by the colouring of the lattice, see [`model::Lattice::lens_type`].
 //!
 //! COMPOTE's files follow other conventions; only [`io::compote`] knows them.
@@ -103,8 +101,8 @@
 //! | F | `focal_length_mm` | mm | focal length of the main lens |
 //! | Q₁ Q₂ Q₃, P₁ P₂ | `radial`, `tangential` | mm⁻², mm⁻⁴, mm⁻⁶; mm⁻¹ | Brown-Conrady distortion of the image point |
 //! | κ | `field_curvature_per_mm` | mm⁻¹ | curvature of the field (not in the paper) |
-//! | κ_m | `field_curvature_growth_per_mm` | mm⁻¹ | its growth with the magnification (not in the paper) |
-//! | P = (e_x, e_y, e_z) | `exit_pupil_mm` | mm | middle of the exit pupil (at 0 in the paper) |
+//! | κ_m | `field_curvature_growth_per_mm` | mm⁻¹ | derivative of the curvature by the magnification (not in the paper) |
+//! | P = (e_x, e_y, e_z) | `exit_pupil_mm` | mm | centre of the exit pupil (at 0 in the paper) |
 //! | (u₀, v₀) | `principal_point_px` | px | where the optical axis meets the sensor |
 //! | d | `mla_to_sensor_mm` | mm | array to sensor, at the middle of the array |
 //! | D | `lens_to_mla_mm` | mm | main lens to array, at the middle of the array |
@@ -122,9 +120,9 @@
 //!
 //! # Where the equations are
 //!
-//! The projection, Eq. (completemodel), and with it the blur radius of a camera, Eq. (blurradius), are in the C++
-//! header `cpp/include/plenocal/projection.hpp`; the blur radius that images show, Eq. (radiusfinal), is in
-//! `src/detection/micro_optics.rs`; the cost of section 5.3 is in `residuals.hpp`. The scalar relations of section 5.1 are in [`model::optics`].
+//! The C++ header `cpp/include/plenocal/projection.hpp` has the projection, Eq. (completemodel), and the blur radius of a
+//! camera, Eq. (blurradius). `src/detection/micro_optics.rs` has the blur radius in images, Eq. (radiusfinal), `residuals.hpp`
+//! the cost of section 5.3, and [`model::optics`] the scalar relations of section 5.1.
 
 #![allow(clippy::doc_markdown)] // names such as COMPOTE and plenocal are not code
 

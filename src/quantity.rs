@@ -1,44 +1,44 @@
-//! Measured values with their standard deviation, and how numbers and units are shown.
+//! Measured values with their standard deviations, and the format of numbers and units.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// A measured value with its standard deviation.
+/// Measured value with its standard deviation.
 ///
-/// Shown with two significant digits of σ, as in `54.74 ± 0.11` (GUM, 7.2.6).
+/// It is displayed with two significant digits of σ, as in `54.74 ± 0.11` (GUM, 7.2.6).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Estimate {
     /// The value.
     #[serde(alias = "variance_px2")] // of a point spread, in earlier files
     pub value: f64,
-    /// Its standard deviation σ, in the same unit; 0 for a value that is given.
+    /// Standard deviation σ, in the same unit; 0 for a given value.
     #[serde(alias = "std_dev_px2")]
     pub std_dev: f64,
 }
 
 impl Estimate {
-    /// An estimate with a standard deviation.
+    /// Creates an estimate with a standard deviation.
     #[must_use]
     pub const fn new(value: f64, std_dev: f64) -> Self {
         Self { value, std_dev }
     }
 
-    /// A given value: σ is 0.
+    /// Creates an estimate of a given value, with σ = 0.
     #[must_use]
     pub const fn exact(value: f64) -> Self {
         Self { value, std_dev: 0.0 }
     }
 
-    /// The estimate in another unit, `factor` of which make one of this.
+    /// Converts the estimate to another unit, `factor` of which make one of this.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         Self { value: self.value * factor, std_dev: self.std_dev * factor.abs() }
     }
 
-    /// The square root, as of a variance: 0 for a negative value, and σ from the root of value + σ, which stays finite where
-    /// the value is 0.
+    /// Returns the square root, for example of a variance: 0 for a negative value. Its σ follows from the root of value + σ,
+    /// which stays finite at 0.
     #[must_use]
     pub fn square_root(&self) -> Self {
         let variance = self.value.max(0.0);
@@ -46,13 +46,13 @@ impl Estimate {
         Self { value, std_dev: (variance + self.std_dev).sqrt() - value }
     }
 
-    /// The difference to an independent estimate, in standard deviations of that difference.
+    /// Returns the difference from an independent estimate, in standard deviations of this difference.
     #[must_use]
     pub fn std_devs_from(&self, other: &Self) -> f64 {
         (self.value - other.value) / self.std_dev.hypot(other.std_dev)
     }
 
-    /// Value and σ as they are shown, σ with two significant digits; σ is empty if it is 0.
+    /// Formats value and σ, with two significant digits of σ; the text of σ is empty if it is 0.
     #[must_use]
     pub fn text(&self) -> (String, String) {
         with_std_dev(self.value, Some(self.std_dev))
@@ -66,7 +66,7 @@ impl fmt::Display for Estimate {
     }
 }
 
-/// The unit in which a parameter is shown, and the factor to it.
+/// Returns the display unit of a parameter, and the factor to it.
 pub(crate) fn display_unit(name: &str, unit: &'static str) -> (&'static str, f64) {
     match name {
         "d" | "dC" | "m" => ("µm", 1e3),
@@ -76,19 +76,19 @@ pub(crate) fn display_unit(name: &str, unit: &'static str) -> (&'static str, f64
     }
 }
 
-/// A number with so many decimals. A value that rounds to 0 has no sign.
+/// Formats a number with so many decimals. A value that rounds to 0 has no sign.
 #[must_use]
 pub fn fixed(value: f64, decimals: usize) -> String {
     plain_zero(format!("{value:.decimals$}"))
 }
 
-/// The same with the sign of positive values too.
+/// Formats a number with so many decimals, with the sign of positive values too.
 pub(crate) fn fixed_signed(value: f64, decimals: usize) -> String {
     plain_zero(format!("{value:+.decimals$}"))
 }
 
-/// A number with so many significant digits; with a power of ten where it is below 0.001, or too large for these digits and
-/// two more.
+/// Formats a number with so many significant digits. It has a power of ten below 0.001, or if it is too large for these digits
+/// and two more.
 #[must_use]
 pub fn significant(value: f64, digits: usize) -> String {
     let most = i32::try_from(digits.max(1)).unwrap_or(i32::MAX - 2);
@@ -100,19 +100,19 @@ pub fn significant(value: f64, digits: usize) -> String {
     }
 }
 
-/// A signed value with three significant digits.
+/// Formats a signed value with three significant digits.
 pub(crate) fn signed(value: f64) -> String {
     let text = significant(value, 3);
     if value > 0.0 { format!("+{text}") } else { text }
 }
 
-/// The text of a number, without a sign if it is 0.
+/// Removes the sign from the text of a number that is 0.
 fn plain_zero(text: String) -> String {
     let is_zero = text.contains('0') && !text.contains(|c| ('1'..='9').contains(&c));
     if is_zero { text.trim_start_matches(['-', '+']).to_owned() } else { text }
 }
 
-/// A positive value with two significant digits; `-` for any other.
+/// Formats a positive value with two significant digits; returns `-` for any other.
 pub(crate) fn two_digits(value: f64) -> String {
     if !(value > 0.0 && value.is_finite()) {
         return "-".to_owned();
@@ -122,7 +122,7 @@ pub(crate) fn two_digits(value: f64) -> String {
     format!("{value:.digits$}")
 }
 
-/// A value with two digits of its standard deviation; six significant digits without one.
+/// Formats a value with two digits of its standard deviation, or with six significant digits without one.
 pub(crate) fn with_std_dev(value: f64, std_dev: Option<f64>) -> (String, String) {
     let digits = |reference: f64, significant: i32| {
         usize::try_from(significant - 1 - decade(reference)).unwrap_or(0)
@@ -142,7 +142,7 @@ pub(crate) fn with_std_dev(value: f64, std_dev: Option<f64>) -> (String, String)
     }
 }
 
-/// Power of ten of the first digit.
+/// Returns the power of ten of the first digit.
 #[allow(clippy::cast_possible_truncation)]
 fn decade(value: f64) -> i32 {
     if value == 0.0 { 0 } else { value.abs().log10().floor() as i32 }

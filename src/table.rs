@@ -1,15 +1,15 @@
-//! Tables of TOML: values in their place, and numbers that have to be finite.
+//! Tables of TOML: replacement of values, and the check that numbers are finite.
 
 use toml::{Table, Value};
 
 use crate::error::{Error, Result};
 
-/// What may be infinite in a file: a focus distance, the radius of a plane, and the full well of pixels without noise.
+/// Values that may be infinite in a file: a focus distance, the radius of a plane, and the full well of pixels without noise.
 const MAY_BE_INFINITE: [&str; 3] = ["focus_distance_mm", "radius_mm", "full_well_electrons"];
 
-/// Replaces a value, as in `imaging.bits=16`; a value that is no TOML is text.
+/// Replaces a value, as in `imaging.bits=16`; a value that is not TOML is text.
 ///
-/// An error if the text has another form, or names a value inside one that is no table.
+/// Returns an error if the text has another form, or names a value inside another that is not a table.
 pub(crate) fn replace(table: &mut Table, pair: &str) -> Result<()> {
     let (key, text) = pair.split_once('=').ok_or_else(|| {
         Error::invalid(format!("'{pair}' sets nothing; write KEY=VALUE, with the tables that hold the key, as in imaging.bits=16"))
@@ -37,7 +37,7 @@ pub(crate) fn replace(table: &mut Table, pair: &str) -> Result<()> {
     Ok(())
 }
 
-/// Puts the values of one table in place of those of another; tables inside are merged.
+/// Replaces values of a table by the values of another; tables inside are merged.
 pub(crate) fn merge(table: &mut Table, over: Table) {
     for (key, value) in over {
         match (table.get_mut(&key), value) {
@@ -49,7 +49,7 @@ pub(crate) fn merge(table: &mut Table, over: Table) {
     }
 }
 
-/// An error that names a value of a TOML file that is not a number, or is infinite and may not be: TOML can write both.
+/// Returns an error that names a value that is not a number, or is infinite and may not be: TOML can express both.
 pub(crate) fn finite(table: &Table) -> Result<()> {
     table.iter().try_for_each(|(key, value)| finite_value(key, value))
 }

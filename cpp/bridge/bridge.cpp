@@ -12,7 +12,7 @@ namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
-// The results of a function for all items: mapped<std::vector>(items, f).
+// Returns the results of a function for all items: mapped<std::vector>(items, f).
 template <template <typename...> class List, typename Items, typename F>
 auto mapped(const Items& items, F&& f) {
   List<std::decay_t<decltype(f(*items.begin()))>> results;

@@ -31,7 +31,7 @@ bool is_finite(const Vector3<double>& v) {
   return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z);
 }
 
-/// Whether a ray has an origin and a direction: squares of lengths such as 1e-200 mm are 0.
+/// Returns true if a ray has an origin and a direction: squares of lengths such as 1e-200 mm are 0.
 bool is_ray(const Ray<double>& ray) {
   constexpr double rounding = 1e-6;
   return is_finite(ray.origin) && std::abs(dot(ray.direction, ray.direction) - 1.0) < rounding;
@@ -41,7 +41,7 @@ bool is_finite(const Pixel<double>& p) { return std::isfinite(p.u) && std::isfin
 
 Vector3<Jet> constant(const Vector3<double>& v) { return {Jet(v.x), Jet(v.y), Jet(v.z)}; }
 
-// The same part of the camera for derivatives by something else.
+// Returns the same part of the camera as a constant, for derivatives by other variables.
 template <template <typename> class Part>
 Part<Jet> constant(const Part<double>& part) {
   const auto values = to_block(part);
@@ -50,7 +50,7 @@ Part<Jet> constant(const Part<double>& part) {
   return from_block<Part>(block.data());
 }
 
-// C S C' of a point that depends on three variables with the covariance S.
+// Computes C S C' for a point that depends on three variables with the covariance S.
 MetricPoint with_covariance(const Vector3<Jet>& point, const Eigen::Matrix3d& covariance) {
   Eigen::Matrix3d slopes;
   slopes << point.x.v.transpose(), point.y.v.transpose(), point.z.v.transpose();
@@ -59,7 +59,7 @@ MetricPoint with_covariance(const Vector3<Jet>& point, const Eigen::Matrix3d& co
   return result;
 }
 
-// A point with its covariance, or nothing where numbers are beyond all bounds.
+// Returns a point with its covariance, or nothing if numbers are not finite.
 std::optional<MetricPoint> finite(const MetricPoint& point) {
   const auto& c = point.covariance;
   const bool all = is_finite(point.point) &&
@@ -67,7 +67,7 @@ std::optional<MetricPoint> finite(const MetricPoint& point) {
   return all ? std::optional(point) : std::nullopt;
 }
 
-// The point with an image p' that depends on three variables with these sigma.
+// Returns the point for an image p' that depends on three variables with these sigma.
 std::optional<MetricPoint> imaged(const MainLens<double>& lens, const Vector3<Jet>& image,
                                   const std::array<double, 3>& std_dev) {
   const std::optional<Vector3<Jet>> point = object_point(constant(lens), image);
@@ -78,7 +78,8 @@ std::optional<MetricPoint> imaged(const MainLens<double>& lens, const Vector3<Je
   return finite(with_covariance(*point, std_devs.cwiseAbs2().asDiagonal()));
 }
 
-// What a sighting says of the image p' of a point: residuals over sigma and their derivatives.
+// Information of a sighting about the image p' of a point: residuals over sigma and their
+// derivatives.
 class Sight {
  public:
   Sight(const Optics<double>& optics, const MicroLens& micro_lens, const Sighting& sighting)
@@ -89,8 +90,8 @@ class Sight {
         uses_rho_(optics.has_blur && sighting.std_dev.rho < HUGE_VAL),
         rest_(std::sqrt(1.0 - sighting.correlation * sighting.correlation)) {}
 
-  // Adds two rows of the lines on which p' lies: (p' - C) x (S - C) = 0, per distance to the
-  // sensor.
+  // Adds two equations of the line on which p' lies: (p' - C) x (S - C) = 0, divided by the
+  // distance to the sensor.
   void add_lines(Eigen::Matrix3d* normal, Eigen::Vector3d* right) const {
     const Vector3<double> line =
         difference(optics_.array.on_sensor({sighting_.observed.u, sighting_.observed.v}), center_);
@@ -102,8 +103,8 @@ class Sight {
     }
   }
 
-  // Adds the normal equations of a Gauss-Newton step at p', and the sum of weighted squares. False
-  // if p' lies on the micro-lens.
+  // Adds the normal equations of a Gauss-Newton step at p', and the sum of weighted squares.
+  // Returns false if p' lies on the micro-lens.
   bool add_features(const Vector3<double>& image, const Loss& loss, Eigen::Matrix3d* normal,
                     Eigen::Vector3d* right, double* squares) const {
     const double a = image.z - center_.z;
@@ -121,7 +122,7 @@ class Sight {
       own_right += row * (off / std_dev);
       square += off * off / (std_dev * std_dev);
     };
-    // v without what its correlation with u says of it.
+    // v without the part that its correlation with u predicts.
     const auto& sigma = sighting_.std_dev;
     const double off_u = sighting_.observed.u - pixel.u, off_v = sighting_.observed.v - pixel.v;
     const double share = sighting_.correlation * sigma.v / sigma.u;
@@ -143,7 +144,7 @@ class Sight {
 
   int residuals() const { return uses_rho_ ? 3 : 2; }
 
-  // The derivative of rho by the place of p' along the axis, px/mm.
+  // Returns the derivative of rho by the position of p' along the axis, px/mm.
   double rho_slope(double z) const {
     const double a = z - center_.z, delta = center_.z - optics_.array.sensor_z();
     return delta / (a * a) * optics_.array.micro_lens_radius() / pixel_size();
@@ -157,10 +158,10 @@ class Sight {
   int lens_type_;
   Vector3<double> center_;
   bool uses_rho_;
-  double rest_;  // of sigma of v, if u is known
+  double rest_;  // factor on sigma of v if u is known
 };
 
-// The inverse of a normal matrix, and false if it has none up to rounding.
+// Computes the inverse of a normal matrix; returns false if it is singular up to rounding.
 bool invert(const Eigen::Matrix3d& normal, Eigen::Matrix3d* inverse) {
   constexpr double kRankTolerance = 1e-13;
   const Eigen::Vector3d scale = normal.diagonal().cwiseSqrt().cwiseInverse();
@@ -172,8 +173,9 @@ bool invert(const Eigen::Matrix3d& normal, Eigen::Matrix3d* inverse) {
   return inverse->allFinite();
 }
 
-// The covariance of an image p' whose place along the axis is known no better than by `least`: that
-// of a measurement of it that was worse, what else was measured being the same.
+// Returns the covariance of an image p' whose position along the axis has at least the sigma
+// `least`: as after a less accurate measurement of this position, with the other measurements
+// unchanged.
 Eigen::Matrix3d with_least_depth(const Eigen::Matrix3d& covariance, double least) {
   const double variance = covariance(2, 2), missing = least * least - variance;
   if (!(missing > 0.0)) return covariance;
@@ -259,9 +261,9 @@ std::optional<MetricPoint> BackProjection::point(const VirtualPoint& seen) const
   const auto lens = micro_lens(seen.at.k, seen.at.l);
   if (!lens) return std::nullopt;
   require_std_devs(seen);
-  // The image lies on the micro-lens, and every pixel behind it shows it.
+  // The image lies on the micro-lens, so that every pixel behind it shows it.
   if (seen.virtual_depth == 0.0) return std::nullopt;
-  // Derivatives by u, v and nu.
+  // These variables give derivatives by u, v and nu.
   const ArrayOptics<Jet> array(constant(camera_.mla), camera_.pixel_size);
   const Vector3<Jet> center = constant(optics_.array.micro_lens_center(lens->node));
   const Pixel<Jet> pixel{Jet(seen.at.pixel.u, 0), Jet(seen.at.pixel.v, 1)};
@@ -272,11 +274,11 @@ std::optional<MetricPoint> BackProjection::point(const VirtualPoint& seen) const
 std::optional<MetricPoint> BackProjection::focused_point(const VirtualPoint& seen) const {
   require_std_devs(seen);
   if (seen.virtual_depth == 0.0) return std::nullopt;
-  // Derivatives by u, v and nu.
+  // These variables give derivatives by u, v and nu.
   const ArrayOptics<Jet> array(constant(camera_.mla), camera_.pixel_size);
   const Vector3<Jet> on_sensor =
       array.on_sensor({Jet(seen.at.pixel.u, 0), Jet(seen.at.pixel.v, 1)});
-  // The plane of the array there.
+  // z of the plane of the array at this pixel.
   const Jet z =
       origin_.z -
       (normal_.x * (on_sensor.x - origin_.x) + normal_.y * (on_sensor.y - origin_.y)) / normal_.z;
@@ -303,15 +305,15 @@ std::optional<MetricPoint> BackProjection::triangulate(const std::vector<Sightin
   }
   if (sights.size() < 2) return std::nullopt;
 
-  // The image that is nearest to all lines, and from there Gauss-Newton steps.
+  // Gauss-Newton steps start from the image nearest to all lines.
   Eigen::Matrix3d normal = Eigen::Matrix3d::Zero(), inverse;
   Eigen::Vector3d right = Eigen::Vector3d::Zero();
   for (const Sight& sight : sights) sight.add_lines(&normal, &right);
   if (!invert(normal, &inverse)) return std::nullopt;
   Eigen::Vector3d image = inverse * right;
-  constexpr int kMaxSteps = 100;  // of weights that follow the residuals
+  constexpr int kMaxSteps = 100;  // number of steps with weights that follow the residuals
   double squares = 0.0;
-  const double kSettled = loss.kind == LossKind::kNone ? 1e-9 : 1e-6;  // of a step, in sigma
+  const double kSettled = loss.kind == LossKind::kNone ? 1e-9 : 1e-6;  // size of a step, in sigma
   bool settled = false;
   for (int i = 0; i < kMaxSteps && !settled; ++i) {
     normal.setZero();

@@ -67,7 +67,7 @@ std::optional<Feature<double>> project(const Camera& camera, const Pose& camera_
   if (!ideal) return std::nullopt;
   const double magnification =
       -camera.main_lens.focal_length / (point.z - camera.main_lens.focal_length);
-  // What distortion brings back from beyond its fold is the image of another point.
+  // A point that distortion folds back into the image is the image of another point.
   const double off =
       std::hypot(ideal->x - magnification * point.x, ideal->y - magnification * point.y);
   constexpr double kSame = 1e-6;

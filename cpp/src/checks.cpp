@@ -117,7 +117,7 @@ void require_pose(const Pose& pose, const std::string& name) {
   }
 }
 
-// All but the poses.
+// Checks everything except the poses.
 void require_camera_and_observations(const Camera& camera, std::size_t poses,
                                      const Observations& observations, const CostOptions& options) {
   validate(camera);

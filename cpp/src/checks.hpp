@@ -1,4 +1,4 @@
-// Checks of what callers hand in: std::invalid_argument that says what is wrong.
+// Checks of callers' input: std::invalid_argument with the reason.
 #pragma once
 
 #include <cmath>
@@ -20,18 +20,18 @@ inline void require_std_dev(double value, const std::string& name) {
   }
 }
 
-/// Whether a parameter of the board's shape is free.
+/// Returns true if a parameter of the board shape is free.
 bool is_shape_free(const CostOptions& options);
 
-/// The size without which a shape means nothing.
+/// Requires a size of the board, without which a shape has no meaning.
 void require_size(const Board& board);
 
-/// All that a problem is made of. Ceres checks its input with CHECK, which aborts the process, so
-/// everything is checked before it is handed over.
+/// Checks all parts of a problem. Ceres checks its input with CHECK, which aborts the process, so
+/// everything is checked before it is passed on.
 void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
                       const Observations& observations, const CostOptions& options);
 
-/// The same of a further camera of a rig, whose first camera has so many poses.
+/// Checks a further camera of a rig, whose first camera has `poses` poses.
 void validate_camera_of_rig(const Camera& camera, const Pose& camera_from_first, std::size_t poses,
                             const Observations& observations, const CostOptions& options);
 

@@ -12,7 +12,7 @@
 namespace plenocal {
 namespace {
 
-// Puts rows of `size` numbers into rows of `width`.
+// Copies rows of `size` numbers into rows of `width`.
 void pack(const double* from, int rows, int size, int width, double* to) {
   for (int row = 0; row < rows; ++row, from += size, to += width) {
     for (int i = 0; i < size; ++i) to[i] = from[i];
@@ -69,7 +69,7 @@ class CompressedCost : public Compressed {
       residuals[0] = Eigen::Map<const Eigen::VectorXd>(values.data(), n).norm();
       return true;
     }
-    // Only of blocks that are not constant.
+    // Derivatives are requested only for blocks that are not constant.
     const auto& sizes = of_.parameter_block_sizes();
     std::vector<double*> parts(sizes.size(), nullptr);
     double* next = values.data() + n;
@@ -97,7 +97,8 @@ class CompressedCost : public Compressed {
     return true;
   }
 
-  // B with B'B = (J, r)'(J, r), from residuals and the parts of J; not finite if these are not.
+  // Returns B with B'B = (J, r)'(J, r), from residuals and the parts of J; not finite if these are
+  // not.
   Eigen::MatrixXd factor(const double* residuals, const std::vector<double*>& parts, int width,
                          std::vector<double>* packed) const {
     const int n = of_.num_residuals(), all = width + 1;
@@ -118,8 +119,8 @@ class CompressedCost : public Compressed {
     RowMajor sums = RowMajor::Zero(padded, padded);
     gram_of(packed->data(), n, padded, sums.data());
     RowMajor gram = sums.topLeftCorner(all, all);
-    // Cholesky, without the units of the parameters; with pivots, since a few observations do not
-    // determine all parameters.
+    // Cholesky decomposition, scaled to remove the units of the parameters, and with pivots, since
+    // a few observations do not determine all parameters.
     const Eigen::VectorXd scale =
         gram.diagonal().unaryExpr([](double x) { return x > 0.0 ? std::sqrt(x) : 1.0; });
     gram.triangularView<Eigen::StrictlyUpper>() = gram.transpose();

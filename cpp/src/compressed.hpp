@@ -9,15 +9,15 @@
 
 namespace plenocal {
 
-/// A cost function with the cost, the gradient J'r and the matrix J'J of another one, but only one
-/// row more than it has parameters. Ceres spends most of its time on rows, of which a block of many
+/// Cost function with the cost, the gradient J'r and the matrix J'J of another one, but only one
+/// row more than it has parameters. Ceres spends most of its time on rows, and a block of many
 /// observations has far more.
 ///
 /// The rows are a factor of the Gram matrix of (J, r) and have no meaning at another point. Without
-/// derivatives the first row holds the whole cost.
+/// derivatives the first row contains the whole cost.
 class Compressed : public ceres::CostFunction {
  public:
-  /// Evaluates the function in advance, at these values of its parameter blocks, of which some are
+  /// Evaluates the function in advance, at these values of its parameter blocks, some of which are
   /// constant. `Evaluate` returns this result until the next call.
   virtual void prepare(double const* const* parameters, const std::vector<bool>& constant,
                        bool with_jacobian) = 0;
@@ -26,9 +26,9 @@ class Compressed : public ceres::CostFunction {
 /// Compresses a cost function, which has to outlive the result.
 std::unique_ptr<Compressed> compressed(const ceres::CostFunction& of);
 
-/// Evaluates all blocks on several threads before Ceres, on a single one, asks for them. The result
-/// does not depend on the number of threads, as it would with the threads of Ceres, which add up
-/// their sums in the order in which they finish.
+/// Evaluates all blocks on several threads before Ceres requests them on a single one. The result
+/// does not depend on the number of threads. With its own threads, Ceres would add sums in the
+/// order in which the threads finish.
 class ParallelEvaluation : public ceres::EvaluationCallback {
  public:
   explicit ParallelEvaluation(int threads) : threads_(threads) {}

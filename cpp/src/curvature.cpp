@@ -10,13 +10,15 @@ namespace {
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-// Number of weak directions, and the length of the steps in them, in the standard deviation that
-// the weights claim. Valleys are bent: a straight step leaves them by its square, and the steep
-// walls make that a large gradient. It is the same on both sides, and drops out of the difference.
+// Number of weak directions, and the length of the steps along them, in standard deviations
+// according to the weights. Valleys are curved: a straight step leaves them quadratically, which
+// gives a large gradient on their steep walls. It is the same on both sides, and cancels in the
+// difference.
 constexpr int kDirections = 4;
 constexpr double kStep = 1e-4;
 
-// The state of a problem moved along a direction of the intrinsics, with the poses following.
+// Returns the state of a problem moved along a direction of the intrinsics, with the poses
+// following.
 VectorXd moved(const LeastSquares& calibration, const VectorXd& state, const VectorXd& change,
                const MatrixXd& poses_by_intrinsics) {
   VectorXd result = state;
@@ -26,8 +28,9 @@ VectorXd moved(const LeastSquares& calibration, const VectorXd& state, const Vec
   return result;
 }
 
-// H + S of each group, where S is known only for the directions: S `directions` = `second`. What it
-// does between two other directions is neglected. `dual` are the coordinates along the directions.
+// Returns H + S of each group, where S is known only along the directions:
+// S `directions` = `second`. Its part between two other directions is neglected. `dual` are the
+// coordinates along the directions.
 MatrixXd with_second_order(const MatrixXd& information, const MatrixXd& second,
                            const MatrixXd& directions, const MatrixXd& dual) {
   const MatrixXd within = directions.transpose() * second;
@@ -35,8 +38,9 @@ MatrixXd with_second_order(const MatrixXd& information, const MatrixXd& second,
          dual * (0.5 * (within + within.transpose())) * dual.transpose();
 }
 
-// Whether the Hessian of the whole cost is positive along all directions, as it is at a minimum.
-// Off it, J'J is the better guess. That of the observations is the identity along the directions.
+// Returns true if the Hessian of the whole cost is positive along all directions, as it is at a
+// minimum. Elsewhere, J'J is the better estimate. The Hessian of the observations is the identity
+// along the directions.
 bool is_minimum(const MatrixXd& directions, const MatrixXd& priors,
                 const std::vector<MatrixXd>& of_frames, const std::vector<MatrixXd>& of_patches) {
   MatrixXd within = directions.transpose() * priors * directions;
@@ -92,7 +96,7 @@ Curvature curvature(const Eliminated& groups, LeastSquares* calibration, int thr
           moved(*calibration, state, step * direction, groups.poses_by_intrinsics));
       return group_gradients(*calibration, threads);
     };
-    // Where the model ends within such a step, hardly anything determines this direction.
+    // If the model is not defined at such a step, hardly anything determines this direction.
     GroupGradients ahead, behind;
     try {
       ahead = gradients_at(kStep);

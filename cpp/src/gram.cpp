@@ -1,8 +1,9 @@
 #include "gram.hpp"
 
-#include <cstdlib>  // says whether this is __GLIBC__
+#include <cstdlib>  // defines __GLIBC__
 
-// The same for AVX2 as well, where compiler and C library can choose at the start.
+// Compiles the function for AVX2 too if compiler and C library can choose at the start of the
+// program.
 #if defined(__x86_64__) && defined(__GLIBC__) && __GNUC__ >= 12 && !defined(__clang__) && \
     !defined(__SANITIZE_THREAD__) && !defined(__SANITIZE_ADDRESS__)
 #define PLENOCAL_WIDE __attribute__((target_clones("arch=x86-64-v3", "default")))
@@ -13,7 +14,7 @@
 namespace plenocal {
 namespace {
 
-// Sums of products that stay in registers: of so many columns with so many others.
+// Numbers of columns of a tile of products whose sums stay in registers.
 constexpr int kTileRows = 4, kTileColumns = kGramColumns;
 
 }  // namespace

@@ -3,16 +3,16 @@
 
 namespace plenocal {
 
-/// Rows have so many numbers, or a multiple of it.
+/// The number of columns is a multiple of this.
 constexpr int kGramColumns = 8;
 
-/// Numbers in a row that has room for `size`.
+/// Returns the number of columns of a row with space for `size` numbers.
 constexpr int gram_width(int size) {
   return (size + kGramColumns - 1) / kGramColumns * kGramColumns;
 }
 
-/// A'A of `rows` rows of `width` numbers, row by row: its lower triangle, and some numbers beside
-/// it. `width` is a `gram_width`.
+/// Computes A'A for `rows` rows of `width` numbers, row by row: its lower triangle, and some
+/// numbers beside it. `width` is a `gram_width`.
 void gram_of(const double* a, int rows, int width, double* gram);
 
 }  // namespace plenocal

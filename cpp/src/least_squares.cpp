@@ -114,7 +114,7 @@ void LeastSquares::linearise(int index, Linearised* result) const {
         Eigen::Map<const RowMajor>(parts.back(), n, Pose::kSize);
   }
   for (std::size_t i = 0; i < parts.size(); ++i) {
-    std::vector<std::pair<int, int>> columns;  // of J, and of the part
+    std::vector<std::pair<int, int>> columns;  // columns of J, and of the part
     for (int column = 0; column < free; ++column) {
       const Place& place = places_[free_intrinsics_[column]];
       if (block.parameters[i] == place.block) columns.emplace_back(column, place.index);

@@ -1,5 +1,5 @@
-// The cost of a camera as blocks of parameters and of residuals in a ceres::Problem: what
-// `CalibrationProblem`, `refine` and `uncertainty` are made of.
+// Cost of a camera as blocks of parameters and of residuals in a ceres::Problem, the basis of
+// `CalibrationProblem`, `refine` and `uncertainty`.
 #pragma once
 
 #include <ceres/ceres.h>
@@ -17,29 +17,28 @@
 
 namespace plenocal {
 
-/// Kinds of residuals. Those of observations each have a variance that is measured, priors one
-/// that is known.
+/// Kinds of residuals. The variance is measured for each kind of observation, and known for priors.
 enum ResidualKind { kUv = 0, kRho = 1, kCenter = 2, kPrior = 3 };
 constexpr int kObservedKinds = 3;
 constexpr int kResidualKinds = 4;
 
-/// Where a residual row comes from: what it shares its errors with.
+/// Origin of a residual row, with the groups that share errors.
 struct RowOrigin {
   ResidualKind kind;
   int group;       ///< frame of a feature; patch of a centre, see `kPatches`; index of a prior
-  int corner;      ///< of a feature: counts all corners of all frames; else -1
-  double std_dev;  ///< of the cost: px, or the unit of the quantity with a prior
-  int observation = -1;  ///< index among features or among centres; -1 of a prior
+  int corner;      ///< number of a feature's corner among the corners of all frames; else -1
+  double std_dev;  ///< sigma in the cost: px, or the unit of the quantity with a prior
+  int observation = -1;  ///< index among features or among centres; -1 for a prior
 };
 
-/// Centres share errors with their neighbours: groups of them are patches of the image, so many
-/// along u and along v.
+/// Number of patches of the image along u and along v. Centres share errors with their neighbours,
+/// so that they are grouped by patches.
 constexpr int kPatchColumns = 8;
 constexpr int kPatchRows = 6;
 constexpr int kPatches = kPatchColumns * kPatchRows;
 
-/// Neither copied nor moved, since Ceres keeps pointers into it. Public functions are those of
-/// `CalibrationProblem`.
+/// Neither copied nor moved, since Ceres keeps pointers into it. Public functions are the same as
+/// in `CalibrationProblem`.
 class LeastSquares {
  public:
   using Blocks = CalibrationProblem::Blocks;
@@ -60,8 +59,8 @@ class LeastSquares {
   std::vector<Pose> poses() const;
   Pose camera_from_first() const { return pose_from_block(camera_from_first_); }
 
-  /// The same problem with few rows. `parallel` evaluates its blocks and has to outlive it; without
-  /// it Ceres evaluates them.
+  /// Returns an equivalent problem with few rows. `parallel` evaluates its blocks and has to
+  /// outlive it; without `parallel` Ceres evaluates them.
   std::unique_ptr<ceres::Problem> compressed(ParallelEvaluation* parallel = nullptr) const;
   Evaluation evaluate() const;
   Eigen::VectorXd state() const;
@@ -69,34 +68,35 @@ class LeastSquares {
   std::vector<double> frame_costs() const;
 
   const std::vector<double*>& free_blocks() const { return free_blocks_; }
-  /// Indices of the shared parameters that are free.
+  /// Returns the indices of the free shared parameters.
   const std::vector<int>& free_intrinsics() const { return free_intrinsics_; }
   std::vector<std::string> names() const;
-  /// Indices of the poses that are fixed.
+  /// Returns the indices of the fixed poses.
   const std::vector<int>& fixed_poses() const { return fixed_poses_; }
-  /// Origin of each residual row, block by block.
+  /// Returns the origin of each residual row, block by block.
   const std::vector<RowOrigin>& rows() const { return rows_; }
 
-  /// Residuals and Jacobian of a block: columns are the free intrinsics, then, for features, the
-  /// six of their frame's pose, which are 0 if it is fixed.
+  /// Residuals and Jacobian of a block. Its columns are the free intrinsics, then, for features,
+  /// the six parameters of the pose of their frame, which are 0 if it is fixed.
   struct Linearised {
-    int first_row = 0;  ///< in `rows`
+    int first_row = 0;  ///< index into `rows`
     Eigen::VectorXd residuals;
     Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> jacobian;
-    std::vector<double> room;  ///< what Ceres evaluates: memory that can be used again
+    std::vector<double> room;  ///< reusable memory for the values of Ceres
   };
-  /// Number of residual blocks; their rows follow each other.
+  /// Returns the number of residual blocks; their rows are consecutive.
   int residual_blocks() const { return static_cast<int>(blocks_.size()); }
-  /// The first row of a block.
+  /// Returns the first row of a block.
   int first_row(int block) const { return blocks_[block].first_row; }
   /// Linearises a block at the present values; several threads may do so at once. Throws
-  /// std::invalid_argument where the model is not defined.
+  /// std::invalid_argument if the model is not defined.
   void linearise(int block, Linearised* result) const;
 
  private:
   LeastSquares(const Camera& camera, const Board& board, const CostOptions& options,
                std::shared_ptr<ceres::Problem> problem);
-  /// Adds all residuals. The poses are blocks of this problem or of that of the first camera.
+  /// Adds all residuals. The poses are blocks of this problem or of the problem of the first
+  /// camera.
   void add_residuals(const Observations& observations, const CostOptions& options,
                      const std::vector<double*>& poses);
   template <int I, bool Bent, bool InRig>
@@ -104,18 +104,18 @@ class LeastSquares {
                     const std::vector<double*>& poses);
   void add_centers(const Observations& observations, const CostOptions& options);
   void add_priors(const CostOptions& options);
-  /// Adds a prior on a q'_i; false if it is on something else.
+  /// Adds a prior on a q'_i; returns false if it is on something else.
   bool add_intercept(const Prior& prior, double weight);
-  /// Adds a prior on a component of the tilt gradient; false if it is on something else.
+  /// Adds a prior on a component of the tilt gradient; returns false if it is on something else.
   bool add_tilt_gradient(const Prior& prior, double weight);
   void fix(const CostOptions& options);
-  /// Blocks that all frames share. That of the board's shape is no parameter unless it is free, and
-  /// then the problem is the same as without one.
+  /// Returns the blocks that all frames share. The block of the board shape is a parameter only if
+  /// it is free; otherwise the problem is the same as without it.
   std::vector<std::pair<double*, int>> shared_blocks();
   struct Place {
     double* block;
-    int size;   // of the block
-    int index;  // in the block
+    int size;   // size of the block
+    int index;  // index in the block
   };
   struct Block {
     const ceres::CostFunction* cost;
@@ -125,8 +125,8 @@ class LeastSquares {
   ceres::ResidualBlockId add_block(std::unique_ptr<ceres::CostFunction> cost,
                                    std::vector<double*> parameters);
 
-  Camera frame_;  // what is not a parameter: lattice, pixel size
-  Board board_;   // its size
+  Camera frame_;  // values that are not parameters: lattice, pixel size
+  Board board_;   // size of the board
   bool shape_is_free_;
   std::array<double, kMainLensParameters> lens_;
   std::array<double, kExitPupilParameters> exit_pupil_;
@@ -137,7 +137,7 @@ class LeastSquares {
   std::array<double, Pose::kSize> camera_from_first_{};
   std::vector<std::array<double, Pose::kSize>> poses_;
   std::vector<int> fixed_poses_;
-  std::vector<Place> places_;  // of all shared parameters
+  std::vector<Place> places_;  // places of all shared parameters
   std::vector<double*> free_blocks_;
   std::vector<int> free_intrinsics_;
   std::vector<RowOrigin> rows_;

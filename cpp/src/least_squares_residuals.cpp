@@ -1,4 +1,4 @@
-// The residuals of a problem.
+// Residuals of a problem.
 #include <ceres/normal_prior.h>
 
 #include <algorithm>
@@ -76,7 +76,7 @@ void LeastSquares::add_residuals(const Observations& observations, const CostOpt
 template <int I, bool Bent, bool InRig>
 void LeastSquares::add_features(const Observations& observations, const CostOptions& options,
                                 const std::vector<double*>& poses) {
-  // Sorted by frame, then corner; the order within a corner is kept.
+  // Features are sorted by frame, then corner; the order within a corner is kept.
   const auto& features = observations.features;
   const auto frame_and_corner = [&features](std::size_t i) {
     const FeatureObservation& o = features[i];

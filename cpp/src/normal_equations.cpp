@@ -10,8 +10,8 @@
 namespace plenocal {
 namespace {
 
-// Singular values of the column-scaled Jacobian below this fraction of the largest count as zero.
-// They come as square roots of eigenvalues of J'J, which carry an error near
+// Relative tolerance of the singular values of the column-scaled Jacobian: smaller ones count as
+// zero. They are computed as square roots of eigenvalues of J'J, which have an error near
 // size * epsilon ~ 1e-14 of the largest: values below 1e-7 cannot be distinguished from zero.
 constexpr double kRankTolerance = 1e-7;
 
@@ -23,13 +23,13 @@ void mirror(Eigen::MatrixXd* lower) {
   lower->triangularView<Eigen::StrictlyUpper>() = lower->transpose();
 }
 
-// Blocks that are evaluated at once, by all threads, before their sums are added in their order.
+// Number of blocks that all threads evaluate before their sums are added in their order.
 constexpr int kBlocksAtOnce = 128;
 
 using Linearised = LeastSquares::Linearised;
 
 // Calls of_block(const Linearised&) for every block, on several threads, and then add(result) one
-// after the other, in their order: sums do not depend on the number of threads.
+// after the other in their order, so that sums do not depend on the number of threads.
 template <typename Result, typename OfBlock, typename Add>
 void in_order(const LeastSquares& calibration, int threads, const OfBlock& of_block,
               const Add& add) {
@@ -46,7 +46,7 @@ void in_order(const LeastSquares& calibration, int threads, const OfBlock& of_bl
   }
 }
 
-// Consecutive rows of one group: of a corner, of a patch, or a prior. Calls f(begin, end).
+// Calls f(begin, end) for consecutive rows of one group: a corner, a patch, or a prior.
 template <typename F>
 void for_runs(const RowOrigin* rows, int count, const F& f) {
   for (int begin = 0, end = 0; begin < count; begin = end) {
@@ -61,16 +61,16 @@ void for_runs(const RowOrigin* rows, int count, const F& f) {
 // Sums over the rows of one kind and group: products of J, r, and the changes of the observation by
 // systematic errors.
 struct Run {
-  RowOrigin origin;  // of the first row
-  int columns;       // of J
+  RowOrigin origin;  // origin of the first row
+  int columns;       // number of columns of J
   std::vector<double> products;
-  int width;  // of these
+  int width;  // number of columns of the products
   int count = 0;
-  double sum = 0.0;            // of residuals
-  double pixel_squares = 0.0;  // of residuals in px
+  double sum = 0.0;            // sum of residuals
+  double pixel_squares = 0.0;  // sum of squared residuals in px
 
   using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-  // Only the lower triangle.
+  // Only the lower triangle is filled.
   auto all() const { return Eigen::Map<const RowMajor>(products.data(), width, width); }
   auto information() const { return all().topLeftCorner(columns, columns); }
   auto gradient() const { return all().row(columns).head(columns).transpose(); }
@@ -78,7 +78,7 @@ struct Run {
   auto by_systematic(int k) const { return all().row(columns + 1 + k).head(columns).transpose(); }
 };
 
-// By how much a systematic error moves the number that a row observes, over its standard deviation.
+// Returns the change of an observed number by a systematic error, over its standard deviation.
 double moved(const SystematicError& error, const RowOrigin& row, bool is_u) {
   if (row.kind == kCenter) {
     if (error.centers.empty()) return 0.0;
@@ -116,7 +116,7 @@ Run sums_of_run(const Linearised& block, const RowOrigin* rows, int begin, int e
   return run;
 }
 
-// The sums of a block of features or centres.
+// Returns the sums of a block of features or centres.
 std::vector<Run> sums_of(const Linearised& block, const RowOrigin* rows,
                          const std::vector<SystematicError>& systematic) {
   std::vector<Run> runs;
@@ -125,7 +125,7 @@ std::vector<Run> sums_of(const Linearised& block, const RowOrigin* rows,
       runs.push_back(sums_of_run(block, rows, begin, end, kind, systematic));
     };
     add(rows[begin].kind);
-    // u, v and rho by turns.
+    // Rows of u, v and rho alternate.
     if (rows[end - 1].kind == kRho) add(kRho);
   });
   return runs;
@@ -185,7 +185,7 @@ class Accumulator {
     equations_.count[kind] += run.count;
   }
 
-  // The only row of a prior's block.
+  // Adds the only row of a prior's block.
   void add_prior(const Linearised& block, const RowOrigin& row) {
     const double residual = block.residuals[0];
     equations_.squares[kPrior] += residual * residual;
@@ -258,14 +258,14 @@ class Accumulator {
 
   const std::vector<SystematicError>& systematic_;
   NormalEquations equations_;
-  std::vector<std::array<Group, 2>> by_kind_;  // of frames: kUv, kRho
+  std::vector<std::array<Group, 2>> by_kind_;  // by frame: kUv, kRho
   std::vector<Group> corners_;
   std::vector<int> frame_of_corner_;
   struct Sum {
     double sum = 0.0;
     int count = 0;
   };
-  std::vector<Sum> rho_;  // of corners
+  std::vector<Sum> rho_;  // by corner
   Group priors_;
 };
 
@@ -288,7 +288,7 @@ GroupGradients group_gradients(const LeastSquares& calibration, int threads) {
                             block.jacobian.middleRows(begin, end - begin).transpose() *
                                 block.residuals.segment(begin, end - begin));
         };
-        // A block of features is of one frame.
+        // A block of features contains only one frame.
         if (of_block->corner >= 0) {
           add(0, n);
         } else if (of_block->kind == kCenter) {
@@ -348,7 +348,7 @@ ScaledInverse::ScaledInverse(const Eigen::MatrixXd& information) {
                                                              scale.asDiagonal());
   const double threshold =
       kRankTolerance * kRankTolerance * eigen.eigenvalues().cwiseAbs().maxCoeff();
-  // Eigenvalues come in ascending order.
+  // The eigenvalues are in ascending order.
   inverse = eigen.eigenvalues().unaryExpr([=](double v) { return v > threshold ? 1.0 / v : 0.0; });
   vectors = eigen.eigenvectors();
   basis = scale.asDiagonal() * vectors;

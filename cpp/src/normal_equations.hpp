@@ -1,4 +1,4 @@
-// The normal equations of a calibration at its present values, as a whole and by what shares
+// Normal equations of a calibration at its present values, in total and by groups that share
 // errors.
 #pragma once
 
@@ -16,25 +16,25 @@ struct Group {
   Eigen::VectorXd gradient;
 };
 
-/// Parameters: the free intrinsics, then 6 per pose.
+/// Normal equations over the free intrinsics, then 6 parameters per pose.
 struct NormalEquations {
   int intrinsics = 0;                                       ///< number of free intrinsics
-  std::array<Eigen::MatrixXd, kResidualKinds> information;  ///< of each kind of residual
+  std::array<Eigen::MatrixXd, kResidualKinds> information;  ///< by kind of residual
   Eigen::VectorXd gradient;
-  /// Sum of squared residuals; of rho, whose errors the features of a corner share, the sum over
-  /// corners of (sum of residuals)^2 / number of them, which is right whether or not they do.
+  /// Sum of squared residuals. For rho, whose errors the features of a corner share, the sum over
+  /// corners of (sum of residuals)^2 / number of them, which is correct in either case.
   std::array<double, kResidualKinds> squares{};
   std::array<int, kResidualKinds> terms{};             ///< number of terms in these sums
   std::array<double, kResidualKinds> pixel_squares{};  ///< sum of squared residuals in px
   std::array<int, kResidualKinds> count{};             ///< number of residuals
   std::vector<Group> frames;                ///< on the free intrinsics and the pose of the frame
-  std::vector<Group> patches;               ///< of the centres, on the free intrinsics
-  std::vector<std::vector<Group>> corners;  ///< of every frame, on its pose
-  /// By how much systematic errors change the gradient, negative, a column for each: those of
-  /// observations, those of priors.
+  std::vector<Group> patches;               ///< patches of the centres, on the free intrinsics
+  std::vector<std::vector<Group>> corners;  ///< corners of every frame, on its pose
+  /// Negative change of the gradient by systematic errors, a column for each: by their effect on
+  /// observations, and on priors.
   Eigen::MatrixXd by_systematic_observations, by_systematic_priors;
-  /// What of a prior's own error these errors are, as a change of the gradient; a column for each
-  /// prior.
+  /// Part of the error of each prior due to these errors, as a change of the gradient; a column for
+  /// each prior.
   Eigen::MatrixXd in_priors;
 
   /// Derivatives of the quantities with a prior, in arbitrary units: a row for each prior, a column
@@ -42,11 +42,12 @@ struct NormalEquations {
   Eigen::MatrixXd priors;
 
   int size() const { return static_cast<int>(gradient.size()); }
-  /// First parameter of the pose of a frame.
+  /// Returns the first parameter of the pose of a frame.
   int pose(int frame) const { return intrinsics + Pose::kSize * frame; }
 };
 
-/// The same for any number of threads. Throws std::invalid_argument where the model is not defined.
+/// Computes the normal equations, the same for any number of threads. Throws std::invalid_argument
+/// if the model is not defined.
 NormalEquations normal_equations(const LeastSquares& calibration,
                                  const std::vector<SystematicError>& systematic = {},
                                  int threads = 1);
@@ -58,15 +59,15 @@ struct GroupGradients {
   std::vector<Eigen::VectorXd> patches;
 };
 
-/// Only the gradients, much faster; throws like `normal_equations`.
+/// Computes only the gradients, which is much faster; throws like `normal_equations`.
 GroupGradients group_gradients(const LeastSquares& calibration, int threads);
 
 /// Pseudo-inverse of an information matrix scaled to a unit diagonal, so that units do not matter.
 struct ScaledInverse {
   Eigen::VectorXd inverse;  ///< inverse eigenvalues of the scaled matrix, descending; 0 for none
-  Eigen::MatrixXd vectors;  ///< its eigenvectors
-  Eigen::MatrixXd basis;    ///< the eigenvectors as changes of the parameters
-  Eigen::MatrixXd coordinates;  ///< weights of the parameters in the coordinate along each of them
+  Eigen::MatrixXd vectors;  ///< eigenvectors of the scaled matrix
+  Eigen::MatrixXd basis;    ///< eigenvectors as changes of the parameters
+  Eigen::MatrixXd coordinates;  ///< weights of the parameters in the coordinate along each
   int rank = 0;
 
   explicit ScaledInverse(const Eigen::MatrixXd& information);

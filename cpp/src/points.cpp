@@ -17,27 +17,28 @@ struct Interval {
   double half() const { return 0.5 * (high - low); }
 };
 
-// The part of an interval within limits. A limit that is not a number, as a vanishing determinant
-// gives, is none.
+// Returns the part of an interval within limits. A limit that is NaN, as after a vanishing
+// determinant, has no effect.
 Interval common(const Interval& a, const Interval& limits) {
   return {std::max(a.low, limits.low), std::min(a.high, limits.high)};
 }
 
-// Part of the plane of the array, in pitches about its centre like `Node`; empty if low > high.
+// Part of the plane of the array, in pitches from its centre like `Node`; empty if low > high.
 struct Box {
   Interval x, y;
 };
 
-// The part of the array from which an image point p' can be seen.
+// Part of the array from which an image point p' can be seen.
 //
-// With all coordinates from the middle P of the exit pupil, s_z the z of the sensor and R the point
-// where the ray from P through p' meets the plane z = C_z of micro-lens C, p' is seen at
+// All coordinates are relative to the centre P of the exit pupil. s_z is the z of the sensor and R
+// the point where the ray from P through p' meets the plane z = C_z of micro-lens C. p' is seen at
 //   (s_z - C_z) p'_z / ((p'_z - C_z) C_z) (R - C),   R = p' C_z / p'_z,
 // from the centre of the micro-image. It is thus seen within a radius r if, in x and y,
 //   |p' C_z - C p'_z| <= r |p'_z - C_z| |C_z| / |s_z - C_z|.
-// On the left is the length of an affine function of the node, b + M node. The right-hand side is
-// at most what the range of C_z over a box of nodes allows: the nodes lie in an ellipse. This is
-// exact for an array that is not tilted; otherwise the box of the ellipse has a smaller range.
+// The left-hand side is the length of an affine function of the node, b + M node. The right-hand
+// side has an upper limit from the range of C_z over a box of nodes. The nodes therefore lie in an
+// ellipse. This is exact for an array without tilt; otherwise the box of the ellipse has a smaller
+// range.
 class Sight {
  public:
   Sight(const Camera& camera, const ArrayOptics<double>& array, const Vector3<double>& image,
@@ -51,7 +52,7 @@ class Sight {
         step_y_(
             difference(array.micro_lens_center({0.0, 1.0}), array.micro_lens_center({0.0, 0.0}))) {}
 
-  // The part of a box from which p' can be seen.
+  // Returns the part of a box from which p' can be seen.
   Box within(const Box& box) const {
     const Interval z = depths(box);
     if (!(z.low > sensor_z_ || z.high < sensor_z_)) return box;
@@ -82,12 +83,12 @@ class Sight {
     return std::max(std::abs(z.low - from), std::abs(z.high - from));
   }
 
-  // The linear map C -> p' C_z - C p'_z, in x and y.
+  // Computes the linear map C -> p' C_z - C p'_z, in x and y.
   Vector2<double> in_plane(const Vector3<double>& c) const {
     return {image_.x * c.z - c.x * image_.z, image_.y * c.z - c.y * image_.z};
   }
 
-  // Range of C_z.
+  // Returns the range of C_z.
   Interval depths(const Box& box) const {
     const double middle = origin_.z + step_x_.z * box.x.middle() + step_y_.z * box.y.middle();
     const double half = std::abs(step_x_.z) * box.x.half() + std::abs(step_y_.z) * box.y.half();
@@ -102,8 +103,8 @@ class Sight {
   Vector3<double> step_y_;
 };
 
-// How far nodes may be from where node (0, 0) and the steps between every other row and column put
-// them, in pitches: the shift of hexagonal rows, and rounding.
+// Largest distance of nodes from a regular grid through node (0, 0) with the steps between every
+// other row and column, in pitches: the shift of hexagonal rows, and rounding.
 constexpr double kShift = 0.51;
 
 Box whole_array(const Lattice& lattice) {
@@ -117,7 +118,7 @@ struct IndexRange {
   int first, last;
 };
 
-// The indices 0 .. count - 1 of nodes in an interval, where index i is near first + i step.
+// Returns the indices 0 .. count - 1 of nodes in an interval, where index i is near first + i step.
 IndexRange indices(const Interval& nodes, double first, double step, int count) {
   const auto bounded = [count](double index) { return std::clamp<double>(index, -1.0, count); };
   const double low = bounded(std::ceil((nodes.low - kShift - first) / step));
@@ -136,7 +137,7 @@ constexpr int kVariables = kPoint + kMaxIntrinsics;  // x, y, z, then the intrin
 using Jet = ceres::Jet<double, kVariables>;
 using Jacobian = Eigen::Matrix<double, Eigen::Dynamic, kVariables, Eigen::RowMajor>;
 
-// Values as the variables from number `first` on.
+// Returns values as variables number `first` and following.
 template <std::size_t N>
 std::array<Jet, N> variables(const std::array<double, N>& values, int first) {
   std::array<Jet, N> jets;
@@ -157,8 +158,8 @@ Optics<Jet> variable_optics(const Camera& camera) {
           focal_lengths.data(), camera.lens_types(), camera.pixel_size};
 }
 
-// Derivatives of the standardised features of a point that the micro-lenses see; empty if one does
-// not.
+// Returns the derivatives of the standardised features of a point in these micro-lenses; empty if
+// one does not see it.
 PLENOCAL_FLATTEN Jacobian feature_jacobian(const Camera& camera, const Vector3<double>& point,
                                            const std::vector<MicroLensIndex>& micro_lenses,
                                            const Feature<double>& std_dev) {
@@ -179,15 +180,15 @@ PLENOCAL_FLATTEN Jacobian feature_jacobian(const Camera& camera, const Vector3<d
   return jacobian;
 }
 
-// Fills in what the Jacobian J = (J_x, J_t) determines: -(J_x' J_x)^-1 J_x' J_t and
-// (J_x' J_x)^-1. False, with the result unchanged, if it does not determine the point.
+// Computes the results from the Jacobian J = (J_x, J_t): -(J_x' J_x)^-1 J_x' J_t and (J_x' J_x)^-1.
+// Returns false, with the result unchanged, if J does not determine the point.
 bool solve(const Jacobian& jacobian, int intrinsics, PointSensitivity* result) {
   if (jacobian.rows() == 0) return false;
   const auto by_point = jacobian.leftCols<kPoint>();
   const Eigen::Vector3d scale = by_point.colwise().norm().cwiseInverse().transpose();
   if (!jacobian.allFinite() || !scale.allFinite()) return false;
-  // Relative to the largest pivot of columns of equal length: below, rounding errors of the
-  // derivatives.
+  // Tolerance relative to the largest pivot of columns of equal length: smaller ones are rounding
+  // errors of the derivatives.
   constexpr double kRankTolerance = 1e-12;
   Eigen::ColPivHouseholderQR<Eigen::Matrix<double, Eigen::Dynamic, kPoint>> qr;
   qr.setThreshold(kRankTolerance);

@@ -12,18 +12,18 @@
 // Levenberg-Marquardt by Ceres, with extrapolation.
 //
 // With residuals that do not vanish, Gauss-Newton converges only linearly: every step multiplies
-// the error by -(J'J)^-1 S, S being the part of the Hessian that Gauss-Newton leaves out. In the
-// valleys of this problem the factor is 0.5 and more in the weakest directions, whatever the trust
-// region. The limit of such a sequence can be extrapolated from a few of its members. So a slow
-// solve is interrupted, moved to the extrapolated limit if the cost is lower there, and continued.
-// Ceres makes the steps and decides which to accept and when to stop.
+// the error by -(J'J)^-1 S, where S is the part of the Hessian that Gauss-Newton omits. In the
+// valleys of this problem the factor is 0.5 and more in the weakest directions, for any trust
+// region. The limit of such a sequence can be extrapolated from a few of its members. A slow solve
+// is therefore interrupted, moved to the extrapolated limit if the cost is lower there, and
+// continued. Ceres makes the steps and decides which to accept and when to stop.
 
 namespace plenocal {
 namespace {
 
-// Number of steps to extrapolate from.
+// Number of steps for the extrapolation.
 constexpr std::size_t kSteps = 4;
-// A solve is slow if the change of the cost is still this fraction of the change before.
+// A solve is slow if the change of the cost is still this fraction of the previous change.
 constexpr double kSlow = 0.05;
 
 // Follows the solve: reports progress, records the accepted states, detects slow convergence.
@@ -82,8 +82,9 @@ class Watch : public ceres::IterationCallback {
   double radius_ = 0.0;
 };
 
-// Limit of a linearly converging sequence by reduced rank extrapolation: the affine combination of
-// its members whose step is the shortest. Every parameter is measured by its own largest step.
+// Returns the limit of a linearly converging sequence by reduced rank extrapolation: the affine
+// combination of its members with the shortest step. Every parameter is scaled by its own largest
+// step.
 Eigen::VectorXd limit(const std::vector<Eigen::VectorXd>& states) {
   const std::size_t count = std::min(kSteps, states.size() - 1);
   Eigen::MatrixXd steps(states.back().size(), count);
@@ -98,7 +99,8 @@ Eigen::VectorXd limit(const std::vector<Eigen::VectorXd>& states) {
                                 .completeOrthogonalDecomposition()
                                 .solve(Eigen::VectorXd::Ones(count));
   weights /= weights.sum();
-  // Written as steps back from the last member, so that rounding does not move fixed parameters.
+  // The result is expressed by steps back from the last member, so that rounding does not move
+  // fixed parameters.
   Eigen::VectorXd result = states.back();
   double before = 0.0;
   for (std::size_t i = 0; i + 1 < count; ++i) {
@@ -115,7 +117,7 @@ double extrapolate(LeastSquares* calibration, const Watch& watch, double cost) {
   double lower = std::numeric_limits<double>::infinity();
   if (there.allFinite()) {
     calibration->set_state(there);
-    // Fails outside the model's domain.
+    // The evaluation fails outside the model's domain.
     if (!calibration->problem().Evaluate({}, &lower, nullptr, nullptr, nullptr)) {
       lower = std::numeric_limits<double>::infinity();
     }
@@ -160,7 +162,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
   options.parameter_tolerance = solver_options.parameter_tolerance;
   options.initial_trust_region_radius = solver_options.initial_trust_region_radius;
   options.max_num_iterations = solver_options.max_iterations;
-  options.num_threads = 1;  // The others belong to `parallel`.
+  options.num_threads = 1;  // The other threads belong to `parallel`.
   options.logging_type = ceres::SILENT;
   options.update_state_every_iteration = true;
   Watch watch(calibration, progress, solver_options.extrapolate, &result.iterations);
@@ -179,7 +181,7 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
           "the model is not defined at the start: a board point lies within the focal length of "
           "the main lens, or is imaged onto a micro-lens");
     }
-    // This covers a stop by the caller too, after which Ceres returns the start.
+    // This also covers a stop by the caller, after which Ceres returns the start.
     calibration.set_state(watch.states().back());
     result.cost = watch.cost();
     go_on = summary.termination_type == ceres::USER_SUCCESS;

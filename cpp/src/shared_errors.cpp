@@ -12,8 +12,7 @@ namespace {
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-// A direction is determined by one group alone if that has all but this fraction of the
-// information.
+// Largest fraction of the information outside of a group that alone determines a direction.
 constexpr double kAlone = 1e-3;
 
 MatrixXd sum_of_information(const std::vector<Group>& groups) {
@@ -23,8 +22,8 @@ MatrixXd sum_of_information(const std::vector<Group>& groups) {
       [](const MatrixXd& sum, const Group& g) -> MatrixXd { return sum + g.information; });
 }
 
-// Variance of each intrinsic due to each group (a row) if the gradient of the group has the
-// covariance of its information.
+// Returns the variance of each intrinsic due to each group (a row) if the gradient of the group has
+// its information as covariance.
 MatrixXd claimed_variances(const std::vector<Group>& groups, const MatrixXd& inverse) {
   MatrixXd variances(groups.size(), inverse.rows());
   for (std::size_t g = 0; g < groups.size(); ++g) {
@@ -33,7 +32,8 @@ MatrixXd claimed_variances(const std::vector<Group>& groups, const MatrixXd& inv
   return variances;
 }
 
-// Inverse degrees of freedom of a variance of which the groups' share is `part` (Satterthwaite).
+// Returns the inverse degrees of freedom of a variance in which the groups have the share `part`
+// (Satterthwaite).
 VectorXd inverse_freedom(const MatrixXd& variances, const VectorXd& part) {
   VectorXd result(part.size());
   for (Eigen::Index i = 0; i < part.size(); ++i) {
@@ -44,19 +44,19 @@ VectorXd inverse_freedom(const MatrixXd& variances, const VectorXd& part) {
   return result;
 }
 
-// By how much the gradient spreads more than its information claims, averaged over directions.
+// Returns the ratio of the spread of the gradient to its information, averaged over directions.
 double dispersion_of(const MatrixXd& spread, const MatrixXd& information) {
   const ScaledInverse inverse(information);
   return inverse.rank > 0 ? spread.cwiseProduct(inverse.matrix()).sum() / inverse.rank : 1.0;
 }
 
-// A direction counts as measured by both if each has this part of the information.
+// Least fraction of the information of each, for which a direction counts as measured by both.
 constexpr double kMeasuredByBoth = 1e-3;
-// A contradiction of less than this many standard deviations is chance.
+// Least contradiction that is not chance, in standard deviations.
 constexpr double kChance = 3.0;
 
-// What boards (with priors) and centres measure both, compared: along every eigenvector of their
-// relative information these are two measurements of one number.
+// Compares the common measurements of boards (with priors) and centres: along every eigenvector of
+// their relative information these are two measurements of one number.
 Contradiction contradiction(const MatrixXd& boards, const MatrixXd& centers, double of_boards,
                             double of_centers, const VectorXd& gradient_of_centers,
                             const VectorXd& variance) {
@@ -81,8 +81,8 @@ Contradiction contradiction(const MatrixXd& boards, const MatrixXd& centers, dou
   return result;
 }
 
-// A matrix over all parameters from that of the intrinsics, which the poses follow, and what each
-// pose has of its own.
+// Combines a matrix over all parameters from the matrix of the intrinsics, which the poses follow,
+// and the independent part of each pose.
 MatrixXd joined(const MatrixXd& of_intrinsics, const MatrixXd& follow,
                 const std::vector<MatrixXd>& of_poses) {
   const auto p = of_intrinsics.rows(), size = p + follow.rows();
@@ -97,7 +97,8 @@ MatrixXd joined(const MatrixXd& of_intrinsics, const MatrixXd& follow,
   return all;
 }
 
-// Changes of the intrinsics if each frame were left out, to first order: (H - H_f)^-1 g_f.
+// Returns the changes of the intrinsics if each frame were left out, to first order: (H - H_f)^-1
+// g_f.
 MatrixXd left_out_changes(const std::vector<Group>& frames, const Curvature& curved,
                           const MatrixXd& hessian) {
   MatrixXd changes(frames.size(), hessian.rows());
@@ -138,7 +139,8 @@ Matrix to_matrix(const MatrixXd& matrix) {
 MatrixXd gradient_spread(const std::vector<Group>& groups) {
   const MatrixXd information = sum_of_information(groups);
   const ScaledInverse sum(information);
-  // Coordinates y in which the information of all groups together is the identity, g = `back` y.
+  // Coordinates y in which the information of all groups together is the identity, with g = `back`
+  // y.
   const int rank = sum.rank;
   if (rank == 0) return MatrixXd::Zero(information.rows(), information.cols());
   const MatrixXd root = sum.basis.rightCols(rank) * sum.inverse.tail(rank).cwiseSqrt().asDiagonal();
@@ -165,7 +167,8 @@ MatrixXd gradient_spread(const std::vector<Group>& groups) {
   return back * spread * back.transpose();
 }
 
-// Least part of the information on a quantity with a prior that observations have, to count here.
+// Least share of observations in the information on a quantity with a prior, for which the quantity
+// counts here.
 constexpr double kLeastShare = 1e-6;
 
 double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse,
@@ -177,7 +180,7 @@ double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse
     const VectorXd to =
         inverse.topLeftCorner(spread.rows(), equations.intrinsics) * prior.transpose();
     const double claimed = to.dot(information * to), least = to.dot(gauss_newton * to);
-    // A prior alone says what q'_i is: no observation tells of its proportion.
+    // A quantity that only its prior determines, such as q'_i without rho, does not count.
     if (!(least > kLeastShare * std::abs(prior.dot(to)))) continue;
     sum += to.dot(spread * to) / (claimed > kLeastCurvature * least ? claimed : least);
     ++count;
@@ -185,7 +188,7 @@ double mean_dispersion(const NormalEquations& equations, const MatrixXd& inverse
   return count > 0 ? sum / count : 1.0;
 }
 
-// A covariance whose variances are at least some, with the same correlations.
+// Returns a covariance with variances of at least `least` and the same correlations.
 MatrixXd at_least(const MatrixXd& covariance, const VectorXd& least) {
   const VectorXd larger =
       covariance.diagonal().binaryExpr(least, [](double variance, double least) {

@@ -14,15 +14,16 @@ namespace {
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-// A parameter is not determined if a direction that is not determined moves it by more than this
-// fraction of the direction's length; rounding errors of the directions are far smaller.
+// Largest component of a parameter in an undetermined direction, as a fraction of its length, for
+// which the parameter counts as determined; rounding errors of the directions are far smaller.
 constexpr double kDeterminedTolerance = 1e-3;
 
-// Too few frames do not show what they share. On real observations the variance is some tens of
-// times that of independent errors, on simulated ones a few times.
+// Dispersion assumed if too few frames show their shared errors. On real observations the variance
+// is some tens of times the variance of independent errors, on simulated ones a few times.
 constexpr double kAssumedDispersion = 10.0;
 
-// Covariance of the gradient if errors of observations are independent; also measures their noise.
+// Returns the covariance of the gradient for independent errors of observations, and measures their
+// noise.
 MatrixXd independent_spread(const NormalEquations& equations, const MatrixXd& inverse,
                             Uncertainty* result) {
   MatrixXd spread = MatrixXd::Zero(equations.size(), equations.size());
@@ -41,8 +42,8 @@ MatrixXd independent_spread(const NormalEquations& equations, const MatrixXd& in
   return spread;
 }
 
-// Along a direction that is determined, parameters change as their covariance with the coordinate
-// says.
+// Along a determined direction, the changes of parameters follow from their covariance with the
+// coordinate.
 void add_weakest(const ScaledInverse& inverse, const MatrixXd& covariance, Uncertainty* result) {
   const int count = std::min(Uncertainty::kWeakest, result->size);
   MatrixXd weakest(count, result->size);
@@ -99,7 +100,7 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   result.names = calibration.names();
   const VectorXd diagonal = total.diagonal();
   result.information.assign(diagonal.begin(), diagonal.end());
-  // A pose that is fixed is known without any error, and nothing else depends on it.
+  // A fixed pose has no error, and nothing else depends on it.
   for (int pose : calibration.fixed_poses()) {
     total.diagonal().segment<Pose::kSize>(equations.pose(pose)).setOnes();
   }

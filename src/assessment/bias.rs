@@ -1,46 +1,46 @@
-//! Systematic errors of detected features: by place in the image, by distance from the centre of the
+//! Systematic errors of detected features: by position in the image, by distance from the centre of the
 //! micro-image, by lens type.
 
 use nalgebra::Vector2;
 
-/// The error of a detected feature, and where it was.
+/// The error of a detected feature, with its position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FeatureError {
-    /// Place of the micro-image from the middle of the image, px.
+    /// Position of the micro-image from the middle of the image, px.
     pub from_middle_px: Vector2<f64>,
-    /// True place of the corner from the centre of its micro-image, px.
+    /// True position of the corner from the centre of its micro-image, px.
     pub from_center_px: Vector2<f64>,
     /// Lens type, from 0.
     pub lens_type: usize,
-    /// Detected less true place, px.
+    /// Detected minus true position, px.
     pub error_px: Vector2<f64>,
-    /// Detected less true ρ, px.
+    /// Detected minus true ρ, px.
     pub rho_error_px: f64,
 }
 
-/// The mean error of features that have something in common.
+/// The mean error of a class of features.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bias {
-    /// Mean distance of its features, px: from the middle of the image or of the micro-image.
+    /// Mean distance of the features, px: from the middle of the image or of the micro-image.
     pub distance_px: f64,
     /// Mean error, px.
     pub mean_px: f64,
-    /// Its standard deviation, as the scatter of the errors has it, px.
+    /// Standard deviation of the mean error from the scatter of the errors, px.
     pub std_dev_px: f64,
     /// Number of features.
     pub count: usize,
 }
 
-/// Number of classes of distance, each with as many features.
+/// Number of classes of distance, each with the same number of features.
 const CLASSES: usize = 5;
 
-/// Mean error away from the middle of the image, by distance from it.
+/// Returns the mean error away from the middle of the image, by distance from the middle.
 #[must_use]
 pub fn by_place(errors: &[FeatureError]) -> Vec<Bias> {
     classes(errors, |e| along(&e.error_px, &e.from_middle_px))
 }
 
-/// Mean error away from the centre of the micro-image, by distance from it, of one lens type.
+/// Returns the mean error away from the centre of the micro-image, by distance from the centre, for one lens type.
 #[must_use]
 pub fn by_offset(errors: &[FeatureError], lens_type: usize) -> Vec<Bias> {
     let own: Vec<FeatureError> =
@@ -48,14 +48,14 @@ pub fn by_offset(errors: &[FeatureError], lens_type: usize) -> Vec<Bias> {
     classes(&own, |e| along(&e.error_px, &e.from_center_px))
 }
 
-/// Mean error of ρ, by distance from the middle of the image.
+/// Returns the mean error of ρ, by distance from the middle of the image.
 #[must_use]
 pub fn of_rho(errors: &[FeatureError]) -> Vec<Bias> {
     classes(errors, |e| (e.from_middle_px.norm(), e.rho_error_px))
 }
 
-/// By which part of its distance a corner is further from the centre of its micro-image than it is, and the standard
-/// deviation of that. d of a calibrated camera has about the same error.
+/// Returns the relative excess of the distances of corners from the centres of their micro-images, and its standard
+/// deviation. d of a calibrated camera has about the same error.
 #[must_use]
 pub fn outwards(errors: &[FeatureError]) -> (f64, f64) {
     let squares: f64 = errors.iter().map(|e| e.from_center_px.norm_squared()).sum();
@@ -65,13 +65,13 @@ pub fn outwards(errors: &[FeatureError]) -> (f64, f64) {
     (part, errors.iter().map(|e| left(e).powi(2)).sum::<f64>().sqrt() / squares)
 }
 
-/// The class with the largest mean error, in absolute terms.
+/// Returns the class with the largest absolute mean error.
 #[must_use]
 pub fn worst(classes: &[Bias]) -> Option<&Bias> {
     classes.iter().max_by(|a, b| a.mean_px.abs().total_cmp(&b.mean_px.abs()))
 }
 
-/// A distance, and the component of an error away from where it is measured from.
+/// Returns the length of `from`, and the component of an error along it.
 fn along(error: &Vector2<f64>, from: &Vector2<f64>) -> (f64, f64) {
     let distance = from.norm();
     (distance, error.dot(from) / distance.max(1e-9))
@@ -99,7 +99,7 @@ fn classes(errors: &[FeatureError], of: impl Fn(&FeatureError) -> (f64, f64)) ->
 mod tests {
     use super::*;
 
-    /// Errors of 1e-5 of the distance from the middle, and of 0.01 of that from the centre of type 1 alone.
+    /// The errors are 1e-5 of the distance from the middle, plus 0.01 of the distance from the centre for type 1 alone.
     #[test]
     fn biases_are_found_where_they_are() {
         let place = |i: i32| Vector2::new(f64::from(i % 40 - 20), f64::from(i / 40 - 20)) * 50.0;

@@ -1,8 +1,8 @@
-//! Two calibrations of one camera, compared: parameter by parameter, and by what they do.
+//! Comparison of two calibrations of one camera: by their parameters, and by their projections.
 //!
-//! Parameters trade off against each other, and the camera frame is where the lens is taken to be: two cameras that see the
-//! same may have other numbers, and frames that are a rigid motion apart. So the motion that makes them agree best is fitted
-//! first, over points all over the image at several distances, and what is left is the difference.
+//! Parameters trade off against each other, and the calibration defines the camera frame. Two cameras with the same projections
+//! may therefore have different parameters, and frames that differ by a rigid motion. So the motion that makes them agree best
+//! is fitted first, over points all over the image at several distances. The remaining shifts are the difference.
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
@@ -14,28 +14,28 @@ use crate::solver::{
     SolverOptions, VirtualPoint, metric_points, micro_images_at, pixel_rays, virtual_depths,
 };
 
-/// Pixels at which cameras are compared, along u and v.
+/// Numbers of pixels at which cameras are compared, along u and v.
 const GRID: [u32; 2] = [32, 24];
-/// Fewest points that a motion is fitted to.
+/// Fewest points to which a motion is fitted.
 const FEWEST: usize = 12;
-/// Largest number of distances, each of which has [`GRID`] points in memory.
+/// Largest number of distances, each with [`GRID`] points in memory.
 const MOST_DISTANCES: usize = 100;
 
 /// A parameter of both cameras.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParameterPair {
-    /// Its name.
+    /// Name of the parameter.
     pub name: &'static str,
-    /// Its unit.
+    /// Unit of the parameter.
     pub unit: &'static str,
-    /// Its value in either camera.
+    /// Values in the first and the second camera.
     pub values: [f64; 2],
-    /// Its σ in either, where that is known.
+    /// Standard deviations in both cameras; `None` if not known.
     pub std_devs: [Option<f64>; 2],
 }
 
 impl ParameterPair {
-    /// The difference, second less first, over its σ; `None` if no σ is known.
+    /// Returns the difference, second minus first, over its σ; `None` if no σ is known.
     #[must_use]
     pub fn difference_in_std_devs(&self) -> Option<f64> {
         let std_dev = self.std_devs.iter().flatten().fold(0.0, |sum: f64, s| sum.hypot(*s));
@@ -43,21 +43,22 @@ impl ParameterPair {
     }
 }
 
-/// How two cameras differ at a distance, after the motion.
+/// The difference of two cameras at one distance, after the motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DistanceDifference {
-    /// The distance in the frame of the first camera, mm.
+    /// Distance in the frame of the first camera, mm.
     pub at_mm: f64,
-    /// Where the second camera sees the points of the first, less where the first does, by pixel of the first, px.
+    /// Pixels of the first camera, and their shifts, px: projections of its points by the second camera minus those by the
+    /// first.
     pub shifts_px: Vec<(Vector2<f64>, Vector2<f64>)>,
-    /// Root mean square and largest of these, px.
+    /// Root mean square of the shifts, px.
     pub rms_px: f64,
-    /// Likewise.
+    /// Largest shift, px.
     pub largest_px: f64,
-    /// Root mean square distance between the points that both see in one pixel at one virtual depth, across the axis and
-    /// along it, mm; `None` if the second sees none.
+    /// Root mean square distance between the points that both cameras see in one pixel at one virtual depth, across the axis
+    /// and along it, mm; `None` if the second camera sees none.
     pub rms_mm: Option<[f64; 2]>,
-    /// How much further away the second sees them in the mean, mm.
+    /// Mean distance by which the second camera sees these points further away, mm.
     pub further_mm: Option<f64>,
     /// Root mean square difference of the blur radii of points, px; `None` for arrays of pinholes.
     pub blur_rms_px: Option<f64>,
@@ -66,34 +67,34 @@ pub struct DistanceDifference {
 /// Two cameras compared.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraComparison {
-    /// All parameters, the second camera with the array as the first counts it.
+    /// All parameters. The second camera counts the array like the first.
     pub parameters: Vec<ParameterPair>,
     /// Root mean square of the shifts without the motion, px.
     pub raw_rms_px: f64,
-    /// From the frame of the first camera to that of the second.
+    /// Motion from the frame of the first camera to the frame of the second.
     pub second_from_first: Isometry3<f64>,
-    /// What is left with it, by distance.
+    /// Differences after the motion, by distance.
     pub distances: Vec<DistanceDifference>,
-    /// What else differs.
+    /// Other differences.
     pub findings: Vec<Finding>,
 }
 
 impl CameraComparison {
-    /// Root mean square of all shifts with the motion, px.
+    /// Returns the root mean square of all shifts after the motion, px.
     #[must_use]
     pub fn rms_px(&self) -> f64 {
         let shifts = || self.distances.iter().flat_map(|d| &d.shifts_px).map(|(_, shift)| shift);
         root_mean_square(shifts().map(Vector2::norm))
     }
 
-    /// The largest root mean square difference of blur radii at a distance, px; `None` for arrays of pinholes.
+    /// Returns the largest root mean square difference of blur radii at a distance, px; `None` for arrays of pinholes.
     #[must_use]
     pub fn blur_rms_px(&self) -> Option<f64> {
         self.distances.iter().filter_map(|d| d.blur_rms_px).reduce(f64::max)
     }
 }
 
-/// A camera with σ of its parameters in the order of [`PlenopticCamera::intrinsics`], where they are known.
+/// A camera with the σ of its parameters, where known, in the order of [`PlenopticCamera::intrinsics`].
 pub type WithStdDevs<'a> = (&'a PlenopticCamera, &'a [Option<f64>]);
 
 fn root_mean_square(values: impl Iterator<Item = f64>) -> f64 {
@@ -105,7 +106,7 @@ fn root_mean_square(values: impl Iterator<Item = f64>) -> f64 {
     (sum / f64::max(count, 1.0)).sqrt()
 }
 
-/// Points of the first camera at a distance, with the pixels that show them.
+/// Returns points of the first camera at a distance, with the pixels that show them.
 fn seen(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<(MicroPixel, Point3<f64>)>> {
     let along = |size: u32, parts: u32| {
         (0..parts).map(move |i| (f64::from(i) + 0.5) * f64::from(size) / f64::from(parts) - 0.5)
@@ -125,7 +126,8 @@ fn seen(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<(MicroPixel, Point3<
 
 /// Compares two cameras at these distances, mm from the main lens of the first.
 ///
-/// An error if their arrays are not of one lattice, they have other lens types or sensors, or do not see the same points.
+/// Fails if their arrays have different lattices, if they have different lens types or sensors, or if they do not see the same
+/// points.
 pub fn compare_cameras(
     (first, first_std_devs): WithStdDevs,
     (second, second_std_devs): WithStdDevs,
@@ -232,7 +234,7 @@ fn difference(
     })
 }
 
-/// Does something with a problem of points as features, seen by the second camera after a motion.
+/// Calls `f` with a problem whose features are these points, seen by the second camera after a motion.
 fn with_problem<R>(
     second: &PlenopticCamera,
     motion: &Isometry3<f64>,
@@ -250,13 +252,13 @@ fn with_problem<R>(
         std_dev_px: [1.0; 3],
     };
     let features: Vec<SolverFeature> = points.iter().map(feature).collect();
-    // The points are where they are: the board has no shape.
+    // The board has no shape, so that the points stay in place.
     let board = Board { columns: 2, rows: 2, square_mm: 1.0 };
     let board = BentBoard { board, shape: BoardShape::default() };
     f(&Problem { camera: second, board, poses: &[*motion], features: &features, centers: &[] })
 }
 
-/// By how much the second camera sees each point elsewhere.
+/// Returns the pixels of the points, and their shifts in the second camera.
 fn shifts(
     second: &PlenopticCamera,
     motion: &Isometry3<f64>,
@@ -271,7 +273,7 @@ fn shifts(
     Ok(points.iter().zip(projected).filter_map(shift).collect())
 }
 
-/// The motion from the first frame to the second with the smallest shifts.
+/// Fits the motion from the first frame to the second with the smallest shifts.
 fn motion(
     second: &PlenopticCamera,
     points: &[(MicroPixel, Point3<f64>)],

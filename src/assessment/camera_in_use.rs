@@ -1,4 +1,4 @@
-//! Checks of a calibrated camera in use: whether white images, virtual depths and features belong to the same camera in the same
+//! Checks of a calibrated camera in use: white images, virtual depths and features must belong to the same camera in the same
 //! state.
 
 use nalgebra::Vector2;
@@ -12,10 +12,10 @@ use crate::model::{
 use crate::precalibration::MicroImageArray;
 use crate::solver::{self, Corners, MicroPixel, VirtualPoint};
 
-/// Checks a calibrated camera against a pre-calibration, `grid` and `internal`, and against what is stated of the camera of the
+/// Checks a calibrated camera against a pre-calibration, `grid` and `internal`, and against the datasheet of the camera of the
 /// images: centres, blur radii of the lens types, m, and the f-number.
 ///
-/// An error if sensor, lattice or number of lens types differ: indices and pixels then belong to different cameras.
+/// Fails if sensor, lattice or number of lens types differ: indices and pixels then belong to different cameras.
 pub fn check_camera(
     camera: &PlenopticCamera,
     sheet: &Datasheet,
@@ -61,7 +61,7 @@ fn refuse_other(
     Ok(())
 }
 
-/// Differences of the micro-image centres of a camera from a grid: root mean square and mean, px.
+/// Returns the differences of the micro-image centres of a camera from a grid: root mean square and mean, px.
 fn centers_against(
     camera: &PlenopticCamera,
     grid: &MicroImageArray,
@@ -80,23 +80,23 @@ fn centers_against(
     Ok((mean_square.sqrt(), off.iter().sum::<Vector2<f64>>() / count))
 }
 
-/// Blur radius φqᵢ = φ(q'ᵢ − Δc/2) of each lens type, px, which white images show (Eq. (radiusfinal)).
+/// Returns the blur radius φqᵢ = φ(q'ᵢ − Δc/2) of each lens type, px, which white images show (Eq. (radiusfinal)).
 fn blur_radii_px(internal: &InternalParameters, pitch_px: f64, pixel_size_mm: f64) -> Vec<f64> {
     let blur = |q: &f64| internal.aperture_ratio() * (q / pixel_size_mm - pitch_px / 2.0);
     internal.q_prime_mm.iter().map(blur).collect()
 }
 
-/// Checks the points of corners against each other, where their features state σ.
+/// Checks the points of corners against each other; `None` if no feature states its σ.
 #[must_use]
 pub fn check_corners(corners: &Corners, features: &[BapFeature]) -> Option<Finding> {
     let stated = features.iter().any(|feature| feature.std_dev_px.is_some());
     stated.then(|| corners.scatter.sqrt()).and_then(checks::corners)
 }
 
-/// Checks virtual points of the raw image: whether their micro-lenses are of the array, their pixels in the micro-images, and
-/// their depths on the side of the array where the camera has its images. Points count from 1.
+/// Checks virtual points of the raw image: their micro-lenses must belong to the array, their pixels to the micro-images, and
+/// their depths to the side of the array where the camera has its images. Points count from 1.
 ///
-/// An error if the camera is not valid.
+/// Fails if the camera is not valid.
 pub fn check_virtual_points(
     camera: &PlenopticCamera,
     points: &[VirtualPoint],
@@ -122,9 +122,9 @@ pub fn check_virtual_points(
     Ok(found)
 }
 
-/// Checks whether micro-lenses are of the array of a camera, and pixels in their micro-images. Pixels count from 1.
+/// Checks that micro-lenses belong to the array of a camera, and pixels to their micro-images. Pixels count from 1.
 ///
-/// An error if the camera is not valid.
+/// Fails if the camera is not valid.
 pub fn check_places(
     camera: &PlenopticCamera,
     pixels: impl IntoIterator<Item = MicroPixel>,
@@ -149,7 +149,7 @@ pub fn check_places(
     Ok(found.into_iter().flatten().collect())
 }
 
-/// A finding about some of the points, by their numbers.
+/// Creates a finding about some of the points, by their numbers; `None` if there are none.
 fn counted(numbers: &[usize], issue: impl Fn(usize, usize) -> Issue) -> Option<Finding> {
     numbers.first().map(|first| Finding::caution(issue(numbers.len(), *first)))
 }

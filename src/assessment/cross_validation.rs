@@ -1,4 +1,4 @@
-//! Cross-validation: frames left out of a calibration, reprojected by it.
+//! Cross-validation: frames left out of a calibration are reprojected by its camera.
 
 use std::collections::BTreeSet;
 
@@ -8,34 +8,34 @@ use crate::calibration::{BoardModel, Calibration, CalibrationOptions, Start, cal
 use crate::error::{Error, Result};
 use crate::model::{Board, FeatureResidual, Observations, PlenopticCamera, Rmse};
 
-/// One fold.
+/// One fold of the frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fold {
-    /// The frames left out.
+    /// Frames that are left out.
     pub frames: Vec<u32>,
-    /// The camera calibrated without them.
+    /// Camera calibrated without these frames.
     pub camera: PlenopticCamera,
-    /// Whether that calibration converged.
+    /// True if this calibration converged.
     pub converged: bool,
     /// Number of left-out frames for which no pose was found.
     pub left_out: usize,
-    /// Reprojection errors of the other left-out frames; poses refined with the camera fixed.
+    /// Reprojection errors of the other left-out frames, with poses refined for the fixed camera.
     pub rmse: Rmse,
 }
 
 /// All folds, and the errors of all frames when left out.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CrossValidation {
-    /// The folds.
+    /// Results of the folds.
     pub folds: Vec<Fold>,
     /// Reprojection errors over all frames.
     pub rmse: Rmse,
 }
 
 impl CrossValidation {
-    /// Standard deviation of every intrinsic parameter of the full calibration, by the jackknife over the
-    /// folds: √((k − 1)/k Σ (θᵢ − θ̄)²), in the order of [`PlenopticCamera::intrinsics`]. It takes frames, not
-    /// observations, as independent.
+    /// Returns the standard deviation of every intrinsic parameter of the full calibration, by the jackknife over the
+    /// folds: √((k − 1)/k Σ (θᵢ − θ̄)²), in the order of [`PlenopticCamera::intrinsics`]. It assumes that frames, not
+    /// observations, are independent.
     #[must_use]
     pub fn jackknife_std_devs(&self) -> Vec<f64> {
         let values: Vec<Vec<f64>> = self.folds.iter().map(|f| f.camera.intrinsics()).collect();
@@ -51,8 +51,8 @@ impl CrossValidation {
 
 /// Calibrates once for every fold without the frames of that fold, and reprojects those frames.
 ///
-/// Fold i of n has frames i, i + n, i + 2n and so on. What the board is taken for, flat or bent, is decided with all frames.
-/// `progress` is called after every fold. An error
+/// Fold i of n has frames i, i + n, i + 2n and so on. All frames together decide whether the board is flat or bent.
+/// `progress` is called after every fold. Fails
 /// if there are fewer frames than folds, fewer than two folds, or if a calibration fails.
 pub fn cross_validate(
     start: &Start,
@@ -63,7 +63,7 @@ pub fn cross_validate(
     progress: &(dyn Fn() + Sync),
 ) -> Result<CrossValidation> {
     let frames = foldable_frames(observations, options, folds)?;
-    // Whether the board is flat is not asked again in each fold.
+    // The folds must agree on whether the board is flat.
     let mut options = match options.board {
         BoardModel::Auto => {
             let all = calibrate(start, board, observations, options, &mut |_| true)?;
@@ -109,12 +109,12 @@ pub fn cross_validate(
     Ok(CrossValidation { folds: done.into_iter().map(|(fold, _)| fold).collect(), rmse })
 }
 
-/// The frames that a fold leaves out, of all of them.
+/// Returns the frames that a fold leaves out.
 pub(super) fn frames_of_fold(frames: &[u32], number: usize, folds: usize) -> Vec<u32> {
     frames.iter().copied().skip(number).step_by(folds).collect()
 }
 
-/// The frames to be divided into folds; an error if there are fewer frames than folds, or fewer than
+/// Returns the frames to be divided into folds. Fails if there are fewer frames than folds, or fewer than
 /// two folds.
 pub fn foldable_frames(
     observations: &Observations,

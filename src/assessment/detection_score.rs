@@ -1,4 +1,4 @@
-//! Detected features against the truth of a simulated data set.
+//! Comparison of detected features with the truth of a simulated data set.
 
 use std::collections::HashMap;
 
@@ -13,16 +13,16 @@ use crate::model::{BapFeature, Board, MicroImageCenter};
 use crate::precalibration::{PrecalibrationOptions, White, precalibrate};
 use crate::simulation::{DataSet, Settings, Shot};
 
-/// Quality of detected features over the frames of a data set.
+/// The quality of detected features over the frames of a data set.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct DetectionScore {
-    /// True features at least [`INSIDE_PX`] within the edge of a micro-image.
+    /// Number of true features at least [`INSIDE_PX`] within the edge of a micro-image.
     pub sought: usize,
-    /// Number of these that were found.
+    /// Number of these features that were found.
     pub found: usize,
-    /// Number of features detected.
+    /// Number of detected features.
     pub reported: usize,
-    /// Number of these that are true: in the right micro-image, of the right corner, and nearer than
+    /// Number of detected features that are true: in the right micro-image, of the right corner, and nearer than
     /// [`TRUE_PX`].
     pub right: usize,
     small: usize,
@@ -36,15 +36,15 @@ pub struct DetectionScore {
     pub frames: usize,
     /// Number of labelled frames.
     pub labelled: usize,
-    /// Errors of the true ones.
+    /// Errors of the true features.
     pub errors: Vec<FeatureError>,
 }
 
-/// True features nearer to the edge of the micro-image need not be found, px.
+/// Distance from the edge of a micro-image, px, within which true features need not be found.
 pub const INSIDE_PX: f64 = 3.0;
-/// Features further from the truth are false, px.
+/// Largest error of a true feature, px.
 pub const TRUE_PX: f64 = 1.0;
-/// A blur that counts as small, px.
+/// Largest blur radius that counts as small, px.
 pub const SMALL_RHO_PX: f64 = 3.0;
 
 /// The truth of a frame.
@@ -53,19 +53,19 @@ struct FrameTruth<'a> {
     centers: &'a HashMap<(i32, i32), MicroImageCenter>,
     /// Outer radius of micro-image (k, l), px.
     outer_radius_px: &'a dyn Fn(i32, i32) -> f64,
-    /// The board; it may have been labelled as if turned by 180 degrees.
+    /// Board, which may have been labelled as if turned by 180 degrees.
     board: &'a Board,
-    /// λ = (D + e_z)/(D + e_z + d).
+    /// Ratio λ = (D + e_z)/(D + e_z + d).
     lambda: f64,
-    /// The middle of the image, px.
+    /// Middle of the image, px.
     middle: Vector2<f64>,
     /// Lens type of micro-image (k, l).
     lens_type: &'a dyn Fn(i32, i32) -> usize,
 }
 
 impl DetectionScore {
-    /// Simulates the first boards of a data set and its white images; pre-calibrates, detects, and
-    /// compares with the truth. The estimator decides which ρ is compared; 1/ν is compared for both.
+    /// Simulates the first boards of a data set and its white images, pre-calibrates, detects, and
+    /// compares with the truth. The estimator selects the ρ to compare; 1/ν is compared for both.
     pub fn of_simulation(
         settings: &Settings,
         frames: usize,
@@ -185,7 +185,7 @@ impl DetectionScore {
                 })
                 .collect();
             if let Some(line) = CornerLine::fit(observations.iter().copied()) {
-                // Both with the true λ, so that they can be compared.
+                // Both use the true λ, so that they can be compared.
                 let of = |slope: f64| 1.0 - slope / truth.lambda;
                 let off = |slope: f64| (of(slope) / of(line.slope) - 1.0).powi(2);
                 self.depths += 1;
@@ -195,43 +195,43 @@ impl DetectionScore {
         }
     }
 
-    /// Fraction of the features to be found that were found.
+    /// Returns the fraction of the sought features that were found.
     #[must_use]
     pub fn recall(&self) -> f64 {
         self.found as f64 / self.sought as f64
     }
 
-    /// Fraction of the detected features that are true.
+    /// Returns the fraction of the detected features that are true.
     #[must_use]
     pub fn precision(&self) -> f64 {
         self.right as f64 / self.reported as f64
     }
 
-    /// Root mean square error of a position per axis, px.
+    /// Returns the root mean square error of a position per axis, px.
     #[must_use]
     pub fn rms_px(&self) -> f64 {
         (self.square / self.right as f64).sqrt()
     }
 
-    /// Root mean square error of the position of features with a small blur, per axis, px.
+    /// Returns the root mean square error of the position of features with a small blur, per axis, px.
     #[must_use]
     pub fn small_rms_px(&self) -> f64 {
         (self.small_square / self.small as f64).sqrt()
     }
 
-    /// Root mean square error of ρ, px, with the estimator used in the detection.
+    /// Returns the root mean square error of ρ, px, for the estimator used in the detection.
     #[must_use]
     pub fn rho_rms_px(&self) -> f64 {
         (self.rho_square / self.right as f64).sqrt()
     }
 
-    /// Relative root mean square error of 1/ν of a corner, by the line.
+    /// Returns the relative root mean square error of 1/ν of a corner, by the line.
     #[must_use]
     pub fn depth_rms(&self) -> f64 {
         (self.depth_square / self.depths as f64).sqrt()
     }
 
-    /// Relative root mean square error of 1/ν of a corner, by the paper's median over pairs.
+    /// Returns the relative root mean square error of 1/ν of a corner, by the paper's median over pairs.
     #[must_use]
     pub fn median_depth_rms(&self) -> f64 {
         (self.median_square / self.depths as f64).sqrt()

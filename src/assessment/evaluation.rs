@@ -1,4 +1,4 @@
-//! The evaluation as one stage: cameras on boards not used in their calibration (paper, section 6).
+//! The evaluation as one stage: cameras on boards that are not used in their calibration (paper, section 6).
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
@@ -16,16 +16,16 @@ use crate::model::{
 /// A camera to evaluate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Candidate {
-    /// Its name in tables.
+    /// Name of the camera in tables.
     pub name: String,
     /// The camera.
     pub camera: PlenopticCamera,
-    /// Standard deviations of its intrinsic parameters; `None` if not known.
+    /// Standard deviations of the intrinsic parameters; `None` if not known.
     pub std_devs: Vec<Option<f64>>,
-    /// The shape that its calibration has found of the board, or what else is known of it.
+    /// Shape of the board, from the calibration or from another source.
     pub board_shape: BoardShape,
-    /// Standard deviations of its parameters, in the order of [`Parameter::SHAPE`](crate::model::Parameter::SHAPE); `None` for
-    /// those that are not estimated.
+    /// Standard deviations of the shape, in the order of [`Parameter::SHAPE`](crate::model::Parameter::SHAPE); `None` for
+    /// parameters that are not estimated.
     pub shape_std_devs: [Option<f64>; SHAPE],
 }
 
@@ -43,11 +43,11 @@ pub struct PosePairs {
 /// Input of a cross-validation.
 #[derive(Debug, Clone)]
 pub struct Folds {
-    /// The start of the calibrations.
+    /// Start of the calibrations.
     pub start: Start,
-    /// Their observations.
+    /// Observations of the calibrations.
     pub observations: Observations,
-    /// Their options.
+    /// Options of the calibrations.
     pub options: CalibrationOptions,
     /// Number of folds.
     pub count: usize,
@@ -60,24 +60,24 @@ pub struct EvaluationInput {
     pub board: Board,
     /// Features of boards not used in the calibration; empty for none.
     pub evaluation: Vec<BapFeature>,
-    /// A board moved along the optical axis, and the steps, mm.
+    /// Features of a board moved along the optical axis, and the step, mm.
     pub translation: Option<(Vec<BapFeature>, f64)>,
-    /// Distances of the moved board by other software, by frame, mm; empty for none.
+    /// Distances of the moved board from other software, by frame, mm; empty for none.
     pub clouds_mm: Vec<(u32, f64)>,
-    /// The true camera, if it is known.
+    /// True camera; `None` if not known.
     pub truth: Option<PlenopticCamera>,
-    /// The true shape of the board, if it is known.
+    /// True shape of the board; `None` if not known.
     pub true_board: Option<BoardShape>,
     /// True and estimated poses of other subsets.
     pub poses: Vec<PosePairs>,
-    /// True poses of the boards of `evaluation`; the first candidate's are compared with them.
+    /// True poses of the boards of `evaluation`, which are compared with the poses from the first candidate.
     pub evaluation_poses: Option<Vec<FramePose>>,
-    /// A cross-validation.
+    /// Input of a cross-validation.
     pub folds: Option<Folds>,
 }
 
 impl EvaluationInput {
-    /// An input with a board and nothing else.
+    /// Creates an input with a board and nothing else.
     #[must_use]
     pub fn new(board: Board) -> Self {
         Self {
@@ -97,15 +97,15 @@ impl EvaluationInput {
 /// The evaluation of one camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CandidateResult {
-    /// Its name in tables.
+    /// Name of the camera in tables.
     pub name: String,
-    /// Boards not used in its calibration (Table 4).
+    /// Boards not used in the calibration (Table 4).
     pub evaluation: Option<Posed>,
-    /// Their corners, each reconstructed alone.
+    /// Corners of these boards, each reconstructed alone.
     pub reconstruction: Option<Reconstruction>,
-    /// A board moved in known steps (Table 3).
+    /// Displacements of a board moved in known steps (Table 3).
     pub translation: Option<Displacements>,
-    /// Its parameters, and those of the board, against the true ones.
+    /// Errors of the parameters of camera and board against the truth.
     pub truth: Option<Vec<ParameterError>>,
 }
 
@@ -114,18 +114,18 @@ pub struct CandidateResult {
 pub struct Evaluation {
     /// Results by camera.
     pub candidates: Vec<CandidateResult>,
-    /// The displacements of the moved board by other software.
+    /// Displacements of the moved board from other software.
     pub clouds: Option<Displacements>,
     /// Errors of poses by subset of the boards.
     pub poses: Vec<(String, PoseErrors)>,
-    /// The result of the cross-validation.
+    /// Result of the cross-validation.
     pub folds: Option<CrossValidation>,
-    /// What could not be evaluated, and why; and findings about known steps.
+    /// Parts that could not be evaluated, with the reason; and findings about known steps.
     pub findings: Vec<Finding>,
 }
 
-/// Evaluates cameras. What fails (boards without a pose, a translation with only one frame, a true
-/// camera of another kind) is listed in `findings`, and the rest is evaluated all the same. `progress`
+/// Evaluates cameras. A part that fails (boards without a pose, a translation with only one frame, a true
+/// camera of another kind) is listed in `findings`, and the rest is evaluated. `progress`
 /// is called after every fold of the cross-validation.
 #[must_use]
 pub fn evaluate(
@@ -224,14 +224,14 @@ fn poses_against_truth(
     poses
 }
 
-/// Rigid transform from the frame of a board to that of the board turned by 180 degrees.
+/// Returns the rigid transform from the frame of a board to the frame of the board turned by 180 degrees.
 fn half_turn(board: &Board) -> Isometry3<f64> {
     let last = board.point_mm(board.corners() - 1);
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI);
     Isometry3::from_parts(Translation3::new(last.x, last.y, 0.0), turn)
 }
 
-/// The result, or a finding that a part failed.
+/// Returns the result; if the part failed, adds a finding and returns `None`.
 fn kept<T>(part: &str, result: Result<T>, findings: &mut Vec<Finding>) -> Option<T> {
     let failed = |error: Error| {
         Finding::caution(Issue::PartFailed { reason: error.to_string() })

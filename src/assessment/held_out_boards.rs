@@ -1,4 +1,4 @@
-//! Boards that were not used in a calibration: their poses with the camera fixed, and checks of the camera by them.
+//! Boards that were not used in a calibration: their poses for the fixed camera, and checks of the camera.
 
 use nalgebra::Isometry3;
 
@@ -12,22 +12,22 @@ use crate::model::{
 };
 use crate::quantity::Estimate;
 
-/// Poses of boards, estimated with a fixed camera.
+/// Poses of boards, estimated for a fixed camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Posed {
-    /// Their poses.
+    /// Poses of the boards.
     pub poses: Vec<FramePose>,
     /// Reprojection errors.
     pub reprojection: Reprojection,
     /// Frames without a pose.
     pub left_out: Vec<LeftOut>,
-    /// Whether the poses are at a minimum.
+    /// True if the poses are at a minimum.
     pub converged: bool,
-    /// Contradictions between boards and camera: residuals, blur radii, and the size of the squares that fits best.
+    /// Contradictions between boards and camera: residuals, blur radii, and the best-fitting size of the squares.
     pub findings: Vec<Finding>,
 }
 
-/// Estimates the poses of a board of known shape with a fixed camera.
+/// Estimates the poses of a board of known shape for a fixed camera.
 pub fn pose_boards(
     camera: &PlenopticCamera,
     bent: &BentBoard,
@@ -43,7 +43,7 @@ pub fn pose_boards(
     Ok(Posed { poses, reprojection, left_out, converged, findings })
 }
 
-/// Contradictions between boards and the fixed camera of their poses, apart from [`fit_checks::fit`].
+/// Returns the contradictions between boards and the fixed camera, except the finding of [`fit_checks::fit`].
 pub(super) fn of_fixed_camera(calibration: &Calibration) -> Vec<Finding> {
     let squares = square_scale(calibration);
     scatter(calibration)
@@ -53,14 +53,14 @@ pub(super) fn of_fixed_camera(calibration: &Calibration) -> Vec<Finding> {
         .collect()
 }
 
-/// Scatter of the residuals over the σ of the detection, where features state σ.
+/// Checks the scatter of the residuals over the σ of the detection; `None` if no feature states its σ.
 pub(super) fn scatter(calibration: &Calibration) -> Option<Finding> {
     let features = &calibration.reprojection.features;
     let stated = features.iter().any(|r| r.feature.std_dev_px.is_some());
     stated.then_some(calibration.uncertainty.std_dev_factors[0]).and_then(fit_checks::scatter)
 }
 
-/// Root mean square of the differences of blur radii from those of the camera, over their σ; `None` where no σ is stated.
+/// Returns the root mean square difference between the blur radii of features and camera, over its σ; `None` if no σ is stated.
 fn blur_in_std_devs(calibration: &Calibration) -> Option<f64> {
     let of = |r: &FeatureResidual| {
         Some((r.drho_px? / r.feature.rho_std_dev_px?).powi(2)).filter(|square| square.is_finite())
@@ -69,17 +69,17 @@ fn blur_in_std_devs(calibration: &Calibration) -> Option<f64> {
     (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
 
-/// Step of the scale of the squares, and the largest number of parabolas.
+/// Step of the scale of the squares, and largest number of fitted parabolas.
 const STEP: f64 = 0.01;
 const ROUNDS: usize = 6;
 
-/// Factor on the size of the squares with which the boards fit the fixed camera best.
+/// Fits the factor on the size of the squares for which the boards agree best with the fixed camera.
 ///
 /// Parallax between micro-images gives the distance of a board in mm, its image the distance in squares. The two
-/// contradict each other if the squares or the focus differ from those of the calibration. The factor h is the vertex of
+/// contradict each other if the squares or the focus differ from the calibration. The factor h is the vertex of
 /// the parabola through the costs C₋, C₀, C₊ at sizes h(1 − ε), h, h(1 + ε), and σ = s ε/√(C₋ + C₊ − 2C₀) with the
-/// dispersion s of the residuals, since C is half of χ². `None` where a board of another size has no poses, or no minimum is
-/// within some per cent.
+/// dispersion s of the residuals, since C is half of χ². `None` if a board of another size has no poses, or no minimum is
+/// within a few per cent.
 fn square_scale(calibration: &Calibration) -> Option<Estimate> {
     let dispersion = calibration.uncertainty.std_dev_factors[0];
     let mut scale = 1.0;
@@ -95,13 +95,13 @@ fn square_scale(calibration: &Calibration) -> Option<Estimate> {
             let scale = scale * (1.0 + step);
             return Some(Estimate::new(scale, dispersion * STEP / curvature.sqrt()));
         }
-        // Far from the minimum a robust loss makes the cost no parabola.
+        // With a robust loss, the cost is no parabola far from the minimum.
         scale *= 1.0 + step.clamp(-STEP, STEP);
     }
     None
 }
 
-/// The least cost of the same boards with squares of another size.
+/// Returns the least cost of the same boards with squares of another size.
 fn cost_with_squares(calibration: &Calibration, scale: f64) -> Option<f64> {
     if (scale - 1.0).abs() < f64::EPSILON {
         return Some(calibration.refinement.cost);

@@ -1,8 +1,8 @@
-//! How good a calibration is.
+//! The quality of a calibration.
 //!
-//! By itself: whether it is to be trusted, where in space, and what would improve it ([`assess`]). Beside other data: reprojection
-//! errors on boards that were not used, known displacements, cross-validation, what groups of parameters are worth, and cameras,
-//! poses and features against the truth ([`evaluate`]).
+//! [`assess`] judges it by itself: whether it can be trusted, its σ in space, and the board that would improve it most.
+//! [`evaluate`] judges it by other data: reprojection errors on boards that were not used, known displacements,
+//! cross-validation, and true cameras and poses. [`compare_models`] judges groups of parameters, [`DetectionScore`] features.
 
 pub mod bias;
 mod camera_comparison;

@@ -1,4 +1,4 @@
-//! What the parameters beyond a plain camera are worth: the calibration repeated without a group of them, and
+//! The worth of the parameters beyond a plain camera: the calibration is repeated without a group of them, and
 //! judged by frames that took no part in it.
 
 use std::fmt;
@@ -12,32 +12,32 @@ use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue, Subject};
 use crate::model::{Board, Parameter, PlenopticCamera, Reprojection};
 
-/// With fewer frames, the scatter of their differences says too little.
+/// Fewest frames. The scatter of the differences of fewer frames is too uncertain.
 const MIN_FRAMES: usize = 6;
-/// A mean growth by more standard errors than this is hardly an accident,
+/// Significant mean growth, in standard errors.
 const CLEAR: f64 = 2.0;
-/// and one by less than this fraction of the squared error makes no difference in practice. A group that is not
-/// needed changes it by some tenths of a per cent, and by 2 standard errors in every tenth case.
+/// Relevant mean growth, as a fraction of the squared error. A group that is not needed changes the error by some tenths of
+/// a per cent, and by 2 standard errors in every tenth case.
 const NOTICEABLE: f64 = 0.01;
-/// Errors |r/σ|² below this are rounding.
+/// Errors |r/σ|² due to rounding.
 const NOTHING: f64 = 1e-9;
-/// A focal length that moves by more σ than this depends on the model.
+/// Change of F, in σ, above which it depends on the model.
 const MOVED: f64 = 3.0;
 
-/// A group of parameters that a plain camera does without.
+/// A group of parameters that a plain camera does not have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Group {
-    /// The distance e_z of the exit pupil from the lens.
+    /// Distance e_z of the exit pupil from the lens.
     ExitPupil,
-    /// The curvature κ of the field, and its growth κ_m.
+    /// Field curvature κ and its growth κ_m.
     FieldCurvature,
-    /// The growth κ_m of the curvature with the magnification.
+    /// Growth κ_m of the field curvature with the magnification.
     CurvatureGrowth,
     /// Radial distortion, Q₁ to Q₃.
     RadialDistortion,
     /// Tangential distortion, P₁ and P₂.
     TangentialDistortion,
-    /// The shape of the board.
+    /// Shape of the board.
     BoardShape,
 }
 
@@ -52,7 +52,7 @@ impl Group {
         Self::BoardShape,
     ];
 
-    /// Its parameters.
+    /// Returns the parameters of the group.
     #[must_use]
     pub fn parameters(self) -> &'static [Parameter] {
         use Parameter as P;
@@ -80,14 +80,14 @@ impl fmt::Display for Group {
     }
 }
 
-/// Whether a group of parameters should be there, as frames say that took no part in the calibration.
+/// The worth of a group of parameters, judged by frames that took no part in the calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Worth {
-    /// Without it they fit worse.
+    /// Frames fit worse without the group.
     EarnsItsKeep,
-    /// They fit as well without it.
+    /// Frames fit as well without the group.
     NoDifference,
-    /// Without it they fit better.
+    /// Frames fit better without the group.
     Harms,
 }
 
@@ -101,40 +101,41 @@ impl fmt::Display for Worth {
     }
 }
 
-/// The calibration without a group of parameters, compared with the one with all of them.
+/// The calibration without a group of parameters, compared with the calibration with all of them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WithoutGroup {
-    /// The group.
+    /// Group that is left out.
     pub group: Group,
-    /// The parameters of the group that were free; they are 0 here.
+    /// Free parameters of the group, which are 0 here.
     pub parameters: Vec<Parameter>,
-    /// The camera without them.
+    /// Camera without these parameters.
     pub camera: PlenopticCamera,
-    /// Its residuals.
+    /// Residuals of this camera.
     pub reprojection: Reprojection,
-    /// [`Patterns::image`](crate::assessment::Patterns::image) of these.
+    /// [`Patterns::image`](crate::assessment::Patterns::image) of these residuals.
     pub pattern: f64,
-    /// By what fraction the error of each frame grows that is left out ([`ModelComparison::errors`]), by frame.
+    /// Relative growth of the error of each left-out frame ([`ModelComparison::errors`]), by frame.
     pub growth: Vec<(u32, f64)>,
-    /// By how much twice the cost grows, divided by the weight of the priors: the parts of features,
-    /// centres and priors. A likelihood ratio, χ² if the group is not needed.
+    /// Growth of twice the cost over the weight of the priors: the parts of features, centres and priors. It is a likelihood
+    /// ratio, with the distribution χ² if the group is not needed.
     pub cost_growth: [f64; 3],
-    /// The change of F, mm, and the same in σ of the calibration with the group, where F is free.
+    /// Change of F, mm, and the same in σ of the calibration with the group; no σ if F is not free.
     pub focal_length_change: (f64, Option<f64>),
-    /// Whether the calibration without the group converged.
+    /// True if the calibration without the group converged.
     pub converged: bool,
 }
 
 impl WithoutGroup {
-    /// By what fraction the error of a left-out frame grows in the (geometric) mean over the frames, and the
-    /// standard error of that from their scatter.
+    /// Returns the relative growth of the error of a left-out frame, as a geometric mean over the frames, and its
+    /// standard error from their scatter.
     #[must_use]
     pub fn mean_growth(&self) -> (f64, f64) {
         let (mean, std_error) = self.log_growth();
         (mean.exp_m1(), mean.exp() * std_error)
     }
 
-    /// Of logarithms, so that a frame with larger errors than the others does not decide alone.
+    /// Returns the mean logarithm of the growth and its standard error. With logarithms, a frame with larger errors than the
+    /// others does not dominate.
     fn log_growth(&self) -> (f64, f64) {
         let count = self.growth.len() as f64;
         let logarithms = || self.growth.iter().map(|(_, growth)| growth.ln_1p());
@@ -143,8 +144,8 @@ impl WithoutGroup {
         (mean, (square / (count - 1.0) / count).sqrt())
     }
 
-    /// The verdict: a mean growth by more than one per cent and two standard errors earns its keep, a mean loss
-    /// by as much harms.
+    /// Returns the verdict. A mean growth of more than one per cent and two standard errors earns its keep; an equal decrease
+    /// harms.
     #[must_use]
     pub fn worth(&self) -> Worth {
         let (mean, std_error) = self.log_growth();
@@ -157,7 +158,7 @@ impl WithoutGroup {
         }
     }
 
-    /// Whether F depends on the group although the frames do not ask for it.
+    /// Returns true if F depends on the group although the left-out frames do not need it.
     #[must_use]
     pub fn moves_unasked(&self) -> bool {
         let moved = self.focal_length_change.1.is_some_and(|std_devs| std_devs.abs() > MOVED);
@@ -165,37 +166,37 @@ impl WithoutGroup {
     }
 }
 
-/// What each group of parameters is worth.
+/// The worth of each group of parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelComparison {
     /// Number of folds that the frames were divided into.
     pub folds: usize,
-    /// The error of each frame when it is left out of the calibration with all groups: the mean over its
+    /// Error of each frame when it is left out of the calibration with all groups: the mean over its
     /// features of |r/σ|², with the weights and the loss of the calibration.
     pub errors: Vec<(u32, f64)>,
     /// [`Patterns::image`](crate::assessment::Patterns::image) with all groups.
     pub pattern: f64,
-    /// Groups with free parameters.
+    /// Results of the groups with free parameters.
     pub groups: Vec<WithoutGroup>,
-    /// What could not be compared, and why.
+    /// Parts that could not be compared, with the reason.
     pub findings: Vec<Finding>,
 }
 
 impl ModelComparison {
-    /// Mean of the errors of left-out frames.
+    /// Returns the mean error of left-out frames.
     #[must_use]
     pub fn mean_error(&self) -> f64 {
         self.errors.iter().map(|e| e.1).sum::<f64>() / self.errors.len() as f64
     }
 }
 
-/// The camera with all parameters or without some, at its minimum, and the errors of left-out frames.
+/// The minimum with all parameters or without some, and the errors of left-out frames.
 struct Model {
     minimum: Minimum,
     errors: Vec<(u32, f64)>,
 }
 
-/// What the models have in common.
+/// Data that the models share.
 struct Comparison<'a> {
     refit: Refit<'a>,
     frames: Vec<u32>,
@@ -203,20 +204,20 @@ struct Comparison<'a> {
     progress: &'a (dyn Fn() + Sync),
 }
 
-/// How often [`compare_models`] calls `progress`.
+/// Returns the number of calls of `progress` by [`compare_models`].
 #[must_use]
 pub fn comparison_steps(calibration: &Calibration, folds: usize) -> usize {
     let groups = free_groups(calibration).len();
     groups + (groups + 1) * folds
 }
 
-/// Calibrates without each group of parameters, and compares with the calibration by cross-validation: both are
-/// repeated without the frames of a fold, and the poses of these are refined with the cameras fixed. Fold i of n
-/// has the frames i, i + n and so on. Differences are paired by frame, because a frame has the same errors under
+/// Calibrates without each group of parameters, and compares with the calibration by cross-validation. Both calibrations are
+/// repeated without the frames of a fold, and the poses of these frames are refined for the fixed cameras. Fold i of n
+/// has the frames i, i + n and so on. Differences are paired by frame, because a frame has the same errors in
 /// all models.
 ///
-/// `progress` is called after every calibration. An error if the calibration has not converged, or has too few
-/// frames, or none of the groups.
+/// `progress` is called after every calibration. Fails if the calibration has not converged, has too few frames, or has none
+/// of the groups.
 pub fn compare_models(
     calibration: &Calibration,
     board: &Board,
@@ -313,7 +314,7 @@ impl Comparison<'_> {
     }
 }
 
-/// The groups with free parameters, and these.
+/// Returns the groups with free parameters, and these parameters.
 fn free_groups(calibration: &Calibration) -> Vec<(Group, Vec<Parameter>)> {
     let all = Parameter::shared(calibration.camera.lens_types());
     let free: Vec<Parameter> =

@@ -1,9 +1,9 @@
-//! Which further board would lower the largest σ in space most.
+//! The further board that would lower the largest σ in space most.
 //!
-//! Boards are tried at several distances, tilts and places. With M the covariance of the camera and S
-//! the information that a board would give on it with its pose unknown, the covariance becomes
+//! Boards are tried at several distances, tilts and positions. Let M be the covariance of the camera, and S
+//! the information on it from a board with an unknown pose. With the board, the covariance is
 //! (M⁻¹ + S)⁻¹. S is divided by the mean ratio of M to the covariance of independent errors, since a
-//! further board will share errors too.
+//! further board will have shared errors too.
 
 use std::collections::BTreeMap;
 
@@ -16,12 +16,12 @@ use crate::error::Result;
 use crate::model::Board;
 use crate::solver::{self, CostOptions, Problem, SolverFeature};
 
-/// Distances to try, as multiples of the nearest and of the farthest board so far.
+/// Distances to try: factors on the nearest and on the farthest distance of the boards.
 const NEARER: f64 = 0.9;
 const FARTHER: f64 = 1.1;
 /// Tilts to try, about x or y.
 const TILT_DEG: f64 = 30.0;
-/// Places of the middle of the board, as fractions of the image.
+/// Positions of the middle of the board, as fractions of the image.
 const PLACES: [([f64; 2], &str); 5] = [
     ([0.5, 0.5], "in the middle of the image"),
     ([0.25, 0.25], "in the upper left of the image"),
@@ -29,29 +29,29 @@ const PLACES: [([f64; 2], &str); 5] = [
     ([0.25, 0.75], "in the lower left of the image"),
     ([0.75, 0.75], "in the lower right of the image"),
 ];
-/// At most so many corners of a board are used, along each side.
+/// Largest number of corners of a board that are used, along each side.
 const SIDE: i32 = 6;
-/// A board that gains less is not worth a trip.
+/// Ratio of the largest σ with and without a board, below which the board is worth taking.
 const WORTH: f64 = 0.98;
 
-/// A board that would help.
+/// A further board that would help.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NextBoard {
-    /// Its pose.
+    /// Pose of the board.
     pub pose: Isometry3<f64>,
-    /// Distance of its middle, mm.
+    /// Distance of the middle of the board, mm.
     pub distance_mm: f64,
     /// Rotation about the x and the y axis of the camera, degrees.
     pub tilt_deg: [f64; 2],
-    /// Where its middle is seen, px.
+    /// Pixel that shows the middle of the board, px.
     pub pixel_px: [f64; 2],
-    /// The same in words.
+    /// Position in the image in words.
     pub place: &'static str,
-    /// The largest σ in space within the distances of the boards, before and after, mm.
+    /// Largest σ in space within the distances of the boards, before and after, mm.
     pub largest_mm: [f64; 2],
 }
 
-/// The best of the boards tried; `None` if none helps.
+/// Returns the best of the boards tried; `None` if none helps.
 pub(super) fn next_board(
     calibration: &Calibration,
     board: &Board,
@@ -62,7 +62,7 @@ pub(super) fn next_board(
     let free = calibration.uncertainty.free_intrinsics.len();
     let uncertainty = &calibration.uncertainty;
     let covariance = camera_covariance(uncertainty);
-    // A board will share errors as those so far do.
+    // A further board will have as large shared errors as the boards so far.
     let ratio = |i: usize| covariance[(i, i)] / uncertainty.independent_covariance[(i, i)];
     let dispersion = (0..free).map(ratio).sum::<f64>() / free.max(1) as f64;
     let largest = |covariance: &DMatrix<f64>| largest_mm(space.points_within_boards(), covariance);
@@ -111,7 +111,7 @@ fn candidates(calibration: &Calibration, board: &Board) -> Vec<NextBoard> {
     candidates
 }
 
-/// The information of each board on the free intrinsic parameters; zero where too little is seen.
+/// Returns the information of each board on the free intrinsic parameters; zero for boards with too few features.
 fn information(
     calibration: &Calibration,
     board: &Board,
@@ -134,7 +134,7 @@ fn information(
         let inside = |x: f64, size: u32| x >= 0.0 && x < f64::from(size);
         inside(f.u_px, sensor.width_px) && inside(f.v_px, sensor.height_px)
     });
-    // Poses without enough features take no part.
+    // Poses without enough features are left out.
     let seen: Vec<usize> = (0..all.len())
         .filter(|&i| features.iter().filter(|f| f.pose == i).count() >= corners.len())
         .collect();
@@ -167,7 +167,7 @@ fn information(
     Ok(result)
 }
 
-/// (M⁻¹ + S)⁻¹ = M − M R (1 + R'M R)⁻¹ R'M with S = R R', which needs no inverse of M.
+/// Returns (M⁻¹ + S)⁻¹ = M − M R (1 + R'M R)⁻¹ R'M with S = R R', which needs no inverse of M.
 fn with(covariance: &DMatrix<f64>, information: &DMatrix<f64>) -> DMatrix<f64> {
     let eigen = information.clone().symmetric_eigen();
     let root = &eigen.eigenvectors

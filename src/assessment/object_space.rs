@@ -1,10 +1,10 @@
-//! How well points in space are reconstructed with a calibrated camera.
+//! The σ of points in space that are reconstructed with a calibrated camera.
 //!
-//! A point is seen without error, and reconstructed from its features with a camera that is wrong by
-//! its covariance. Its error is G δθ, with G from `point_sensitivity` of the core. Part of it moves all
-//! of space alike: where the frame of the camera lies is a convention, and the boards of the calibration
-//! move with it. So the rigid motion of the boards, as their poses follow the camera, is taken off: what
-//! is left is the error of a point against the boards (as in mrcal's projection uncertainty, which
+//! A point is seen without noise, and reconstructed from its features with a camera that is wrong by
+//! its covariance. Its error is G δθ, with G from `point_sensitivity` of the core. A part of the error moves all
+//! of space alike: the origin of the camera frame is a convention, and the boards of the calibration
+//! move with it. So the rigid motion of the boards, whose poses follow the camera, is subtracted. The
+//! rest is the error of a point against the boards (as in mrcal's projection uncertainty, which
 //! carries camera and poses together).
 
 use nalgebra::{
@@ -16,35 +16,35 @@ use crate::error::Result;
 use crate::model::{Board, PlenopticCamera};
 use crate::solver::{self, Uncertainty};
 
-/// Points over the width and the height of the image, and distances of the boards.
+/// Numbers of points over the width and the height of the image.
 const GRID: (u32, u32) = (9, 7);
 const DISTANCES: u32 = 7;
-/// Boards whose distances differ by less, as a fraction, are at one distance.
+/// Relative difference below which boards are at one distance.
 const ALIKE: f64 = 0.01;
-/// How far beyond the boards the distances reach, as a fraction of their distance.
+/// Extent of the distances beyond the boards, as a fraction of their distance.
 const BEYOND: f64 = 0.15;
-/// A corner has to be seen this far inside its micro-image, as a fraction of the radius.
+/// Least distance of a visible corner from the edge of its micro-image, as a fraction of the radius.
 pub(super) const MARGIN: f64 = 0.2;
 
-/// A point in space and its σ.
+/// A point in space with its σ.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PointTrust {
-    /// Where it is seen in the image, px.
+    /// Pixel that shows the point, px.
     pub pixel_px: [f64; 2],
-    /// Where it is, mm.
+    /// Position of the point, mm.
     pub point_mm: Point3<f64>,
     /// Number of micro-lenses that see it.
     pub micro_lenses: usize,
-    /// σ across the axis (the larger one) and along it due to the calibration, mm.
+    /// Standard deviation due to the calibration, across the axis (the larger one) and along it, mm.
     pub std_dev_mm: [f64; 2],
-    /// The same due to the noise of one observation of a corner.
+    /// Standard deviation due to the noise of one observation of a corner, across the axis and along it, mm.
     pub noise_mm: [f64; 2],
-    /// How the error of the point depends on the free intrinsic parameters: three rows.
+    /// Derivative of the error of the point by the free intrinsic parameters: three rows.
     pub(super) by_intrinsics: DMatrix<f64>,
 }
 
 impl PointTrust {
-    /// σ of the place in all three directions due to the calibration, mm.
+    /// Returns σ of the position in all three directions due to the calibration, mm.
     #[must_use]
     pub fn total_mm(&self, covariance: &DMatrix<f64>) -> f64 {
         (&self.by_intrinsics * covariance).dot(&self.by_intrinsics).max(0.0).sqrt()
@@ -56,14 +56,14 @@ impl PointTrust {
 pub struct Distance {
     /// Distance from the main lens along the axis, mm.
     pub distance_mm: f64,
-    /// Whether boards of the calibration were at such distances.
+    /// True if boards of the calibration were at such distances.
     pub within_boards: bool,
     /// Points over the image that at least two micro-lenses see.
     pub points: Vec<PointTrust>,
 }
 
 impl Distance {
-    /// Median and largest σ over the image, across the axis and along it, mm: `[across, along]` of each.
+    /// Returns median and largest σ over the image, across the axis and along it, mm: `[across, along]` of each.
     #[must_use]
     pub fn summary_mm(&self) -> [[f64; 2]; 2] {
         let of = |i: usize, noise: bool| {
@@ -76,7 +76,7 @@ impl Distance {
         [[across[0], along[0]], [across[1], along[1]]]
     }
 
-    /// Median σ due to the noise of one observation, across the axis and along it, mm.
+    /// Returns the median σ due to the noise of one observation, across the axis and along it, mm.
     #[must_use]
     pub fn noise_mm(&self) -> [f64; 2] {
         [0, 1].map(|i| {
@@ -87,21 +87,21 @@ impl Distance {
     }
 }
 
-/// σ of points over field and distance.
+/// The σ of points over field and distance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectSpace {
-    /// Distances, the nearest first; those at which nothing is seen are left out.
+    /// Distances, the nearest first. Distances without visible points are left out.
     pub distances: Vec<Distance>,
 }
 
 impl ObjectSpace {
-    /// All points at the distances of the boards.
+    /// Returns all points at the distances of the boards.
     pub(super) fn points_within_boards(&self) -> impl Iterator<Item = &PointTrust> {
         self.distances.iter().filter(|d| d.within_boards).flat_map(|d| &d.points)
     }
 }
 
-/// `None` if no point is seen.
+/// Computes the σ of points; `None` if no point is seen.
 pub(super) fn object_space(
     calibration: &Calibration,
     board: &Board,
@@ -149,7 +149,7 @@ fn points_at(
     let points: Vec<Point3<f64>> =
         pixels.iter().map(|pixel| point_seen_at(camera, *pixel, distance_mm)).collect();
     let noise = calibration.uncertainty.residual_std_dev_px;
-    // Where ρ does not count, it does not place points either.
+    // A ρ without weight in the calibration does not determine points either.
     let of_rho = if calibration.options.has_rho() { noise[1] } else { f64::INFINITY };
     let std_dev = [noise[0], noise[0], of_rho].map(|s| if s > 0.0 { s } else { 1.0 });
     let margin = MARGIN * camera.micro_image_pitch_px() / 2.0;
@@ -162,7 +162,7 @@ fn points_at(
         }
         let all = &s.by_intrinsics;
         let of_space = rigid(&point.coords) * motion;
-        // Where a point is seen does not depend on the board.
+        // The image of a point does not depend on the shape of the board.
         let of_camera = DMatrix::from_fn(3, free.len(), |i, j| {
             if free[j] < all.columns { all[(i, free[j])] } else { 0.0 }
         });
@@ -180,19 +180,19 @@ fn points_at(
     Ok(pixels.iter().zip(&points).zip(sensitivities).filter_map(trust).collect())
 }
 
-/// The covariance of the free intrinsic parameters.
+/// Returns the covariance of the free intrinsic parameters.
 pub(super) fn camera_covariance(uncertainty: &Uncertainty) -> DMatrix<f64> {
     let n = uncertainty.free_intrinsics.len();
     DMatrix::from_fn(n, n, |i, j| uncertainty.covariance[(i, j)])
 }
 
-/// Largest σ across the axis, and σ along it.
+/// Returns the largest σ across the axis, and σ along it.
 fn across_and_along(covariance: &Matrix3<f64>) -> [f64; 2] {
     let across = covariance.fixed_view::<2, 2>(0, 0).into_owned().symmetric_eigenvalues().max();
     [across.max(0.0).sqrt(), covariance[(2, 2)].max(0.0).sqrt()]
 }
 
-/// The point at this distance whose chief ray meets the sensor at a pixel, without distortion.
+/// Returns the point at this distance whose chief ray meets the sensor at a pixel, without distortion.
 pub(super) fn point_seen_at(
     camera: &PlenopticCamera,
     [u, v]: [f64; 2],
@@ -210,7 +210,7 @@ pub(super) fn point_seen_at(
     )
 }
 
-/// How a point moves with a small rotation and translation of space.
+/// Returns the derivative of a point by a small rotation and translation of space.
 fn rigid(point: &Vector3<f64>) -> DMatrix<f64> {
     let mut matrix = DMatrix::zeros(3, 6);
     matrix.view_mut((0, 0), (3, 3)).copy_from(&(-point.cross_matrix()));
@@ -218,12 +218,12 @@ fn rigid(point: &Vector3<f64>) -> DMatrix<f64> {
     matrix
 }
 
-/// The rigid motion of all boards together that goes with a change of the intrinsic parameters: six
+/// Fits the rigid motion of all boards together that follows a change of the intrinsic parameters: six
 /// rows, by least squares over the outer corners of all boards.
 fn motion_of_boards(calibration: &Calibration, board: &Board) -> DMatrix<f64> {
     let uncertainty = &calibration.uncertainty;
     let follow = DMatrix::from(&uncertainty.poses_by_intrinsics);
-    // Corners move with the shape of their board too, in the mean like this.
+    // The shape of the board moves its corners too, by this mean.
     let mut by_shape = DMatrix::zeros(3, follow.ncols());
     let rows = uncertainty.shape_rows(calibration.camera.lens_types());
     for (row, motion) in rows.into_iter().zip(calibration.board.bent.mean_motion_mm()) {
@@ -248,9 +248,9 @@ fn motion_of_boards(calibration: &Calibration, board: &Board) -> DMatrix<f64> {
     DMatrix::from_column_slice(6, 6, inverse.as_slice()) * right
 }
 
-/// How a point of the board moves with the rotation vector and the translation of its pose.
+/// Returns the derivative of a point of the board by the rotation vector and the translation of its pose.
 fn by_pose(pose: &Isometry3<f64>, point: &Point3<f64>) -> Matrix3x6<f64> {
-    /// Small against a radian, large against rounding.
+    /// Step in rad: small against a radian, large against rounding errors.
     const STEP: f64 = 1e-6;
     let mut matrix = Matrix3x6::zeros();
     let rotation = pose.rotation.scaled_axis();
@@ -266,7 +266,7 @@ fn by_pose(pose: &Isometry3<f64>, point: &Point3<f64>) -> Matrix3x6<f64> {
     matrix
 }
 
-/// The largest σ over the points, with another covariance of the camera.
+/// Returns the largest σ over the points, for a given covariance of the camera.
 pub(super) fn largest_mm<'a>(
     points: impl Iterator<Item = &'a PointTrust>,
     covariance: &DMatrix<f64>,

@@ -8,45 +8,45 @@ use crate::model::{FramePose, Parameter};
 use crate::numerics::median;
 use crate::solver::Uncertainty;
 
-/// Frames outlie if the logarithm of their typical residual is so many σ of the other frames' off. That
-/// σ is at least [`LEAST_SPREAD`]: frames of few corners scatter as much by chance.
+/// Limit on the logarithm of a frame's typical residual over the median of all frames, in σ of these logarithms. This σ is
+/// at least [`LEAST_SPREAD`], since frames of few corners scatter as much by chance.
 const OUTLYING_FRAME: f64 = 5.0;
 const LEAST_SPREAD: f64 = 0.1;
-/// σ of a normal distribution over its median deviation.
+/// Ratio of σ to the median deviation, for a normal distribution.
 const FROM_MEDIAN_DEVIATION: f64 = 1.4826;
-/// Frames outlie if leaving them out moves a parameter by so many of the σ that the other frames alone
-/// predict. There are a few hundred changes, with heavy tails: noise gets to 4.
+/// Limit on the change of a parameter without a frame, in the σ that the other frames predict. There are a few hundred
+/// changes, with heavy tails: noise reaches 4.
 const INFLUENTIAL: f64 = 5.0;
-/// A change of less than this many σ of the parameter is none to speak of, however unexpected: frames of clean sets move
-/// weak ones by 1 σ.
+/// Smallest relevant change of a parameter, in its σ, however unexpected it is: frames of clean sets move weak parameters
+/// by 1 σ.
 const MATERIAL: f64 = 2.0;
-/// So many frames are needed to tell that one is not like the others.
+/// Fewest frames among which one can be an outlier.
 const MIN_FRAMES: usize = 6;
 
 /// A frame that does not fit the others.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OutlyingFrame {
-    /// Its number.
+    /// Number of the frame.
     pub frame: u32,
-    /// Its typical residual as a multiple of that of the other frames.
+    /// Typical residual of the frame over the median of all frames.
     pub residual_ratio: f64,
-    /// What moves most if the frame is left out; `None` if the camera is fixed.
+    /// Least expected change of a parameter without the frame; `None` if there is no relevant one.
     pub influence: Option<Influence>,
 }
 
-/// How a frame moves the camera.
+/// The influence of a frame on the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Influence {
-    /// The parameter whose change is the least expected if the frame is left out.
+    /// Parameter whose change is the least expected if the frame is left out.
     pub parameter: &'static str,
-    /// By how many of its σ it changes.
+    /// Change of the parameter, in its σ.
     pub std_devs: f64,
-    /// By how many times as much as the other frames let expect.
+    /// Change over the one expected from the other frames.
     pub unexpected: f64,
 }
 
 impl OutlyingFrame {
-    /// A finding that says so.
+    /// Returns a finding about the frame.
     #[must_use]
     pub fn finding(&self) -> Finding {
         let Self { frame, residual_ratio, influence } = *self;
@@ -66,12 +66,12 @@ impl OutlyingFrame {
     }
 }
 
-/// All that does not fit.
+/// All observations and frames that do not fit.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Outliers {
-    /// Features, the farthest first.
+    /// Outliers among the features, the farthest first.
     pub features: Vec<OutlyingFeature>,
-    /// Frames, the worst first.
+    /// Outliers among the frames, the worst first.
     pub frames: Vec<OutlyingFrame>,
 }
 
@@ -109,9 +109,9 @@ fn frames(calibration: &Calibration) -> Vec<OutlyingFrame> {
     found
 }
 
-/// For each frame, by how much each parameter would change if it were left out, over the σ of that change if
-/// errors are as the weights claim: a frame with the share s of the information on a parameter of variance V
-/// moves it by √(V·s/(1 − s)).
+/// Returns, for each frame, the change of each parameter if the frame is left out, over the σ of this change if
+/// errors agree with the weights. A frame with the share s of the information on a parameter of variance V
+/// changes it by √(V·s/(1 − s)).
 fn scaled_changes(uncertainty: &Uncertainty) -> Vec<Vec<f64>> {
     let (changes, shares) = (&uncertainty.left_out_changes, &uncertainty.frame_shares);
     let of_frame = |frame: usize| {
@@ -125,8 +125,8 @@ fn scaled_changes(uncertainty: &Uncertainty) -> Vec<Vec<f64>> {
     (0..changes.rows).map(of_frame).collect()
 }
 
-/// The parameter that moves most if a frame is left out, in σ as the changes by the other frames give it, all
-/// parameters together. What a frame alone determines is left out of the comparison.
+/// Returns the parameter whose change is the least expected if a frame is left out. The expected change is the root mean square
+/// over the other frames and all parameters. Frames without which a parameter is undetermined are not counted.
 fn influence(scaled: &[Vec<f64>], frame: usize, calibration: &Calibration) -> Option<Influence> {
     let of_others = scaled.iter().enumerate().filter(|(i, _)| *i != frame);
     let others: Vec<f64> =

@@ -1,5 +1,4 @@
-//! Residuals that are not scattered, but have a pattern: over the image, over the micro-images, by
-//! lens type.
+//! Systematic patterns in the residuals: over the image, over the micro-images, by lens type.
 
 use std::collections::BTreeMap;
 
@@ -11,23 +10,23 @@ use crate::model::{FeatureResidual, Sensor};
 use crate::numerics::median;
 use crate::solver;
 
-/// Cells of the image along u and along v.
+/// Numbers of cells of the image along u and along v.
 const CELLS: (u32, u32) = (8, 6);
-/// A cell with fewer features says nothing about its mean.
+/// Fewest features of a cell whose mean is used.
 const MIN_FEATURES: usize = 20;
 
-/// The parts of the residuals of (u, v) that are systematic.
+/// The systematic parts of the residuals of (u, v).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Patterns {
-    /// Root mean square of the means over cells of the image, less what scatter explains, as a fraction
+    /// Root mean square of the means over cells of the image, less the part that scatter explains, as a fraction
     /// of the root mean square of all residuals.
     pub image: f64,
-    /// The same for the slope of the residuals over the distance from the centre of the micro-image, by
-    /// lens type.
+    /// Root mean square of the parts of the residuals that are proportional to the distance from the centre of the micro-image,
+    /// by lens type, less the part that scatter explains, as the same fraction.
     pub micro_image: f64,
-    /// Typical residual of the worst lens type, over its σ where that is stated, over that of the best.
+    /// Ratio of the typical residuals, over σ if stated, of the worst lens type and the best.
     pub lens_types: f64,
-    /// Fraction of the cells of the image that have features, of those that have micro-images.
+    /// Fraction of the cells with micro-images that have features.
     pub coverage: f64,
 }
 
@@ -64,7 +63,7 @@ fn cell(sensor: &Sensor, u_px: f64, v_px: f64) -> (u32, u32) {
     (part(u_px, sensor.width_px, CELLS.0), part(v_px, sensor.height_px, CELLS.1))
 }
 
-/// [`Patterns::image`] of some residuals.
+/// Computes [`Patterns::image`] of some residuals.
 #[must_use]
 pub fn image_pattern(sensor: &Sensor, residuals: &[FeatureResidual]) -> f64 {
     let mut cells: BTreeMap<(u32, u32), Vec<Vector2<f64>>> = BTreeMap::new();
@@ -83,8 +82,8 @@ pub fn image_pattern(sensor: &Sensor, residuals: &[FeatureResidual]) -> f64 {
     (systematic.max(0.0) / f64::max(count, 1.0)).sqrt() / rms_px(residuals)
 }
 
-/// A shift in proportion to the distance from the centre of the micro-image is what a detector makes
-/// that does not know the shade of the pupil.
+/// Computes the root mean square, px, of the parts of the residuals that are proportional to the distance from the centre of
+/// the micro-image. A detector that ignores the shading by the pupil causes such shifts.
 fn over_micro_images(calibration: &Calibration) -> Result<f64> {
     let residuals = &calibration.reprojection.features;
     let named = residuals.iter().map(|r| (r.feature.k, r.feature.l));
@@ -98,7 +97,7 @@ fn over_micro_images(calibration: &Calibration) -> Result<f64> {
         sums[1] += u * r.du_px + v * r.dv_px;
         sums[2] += r.du_px.powi(2) + r.dv_px.powi(2);
     }
-    // What the slope explains, less what it would explain of scatter alone: one of 2n residuals.
+    // The slope explains this; of scatter alone, it would explain one of 2n residuals.
     let of_scatter = |all: f64| all / (2.0 * residuals.len() as f64);
     let explained = |[square, product, all]: &[f64; 3]| {
         let explained = if *square > 0.0 { product * product / square } else { 0.0 };

@@ -1,16 +1,16 @@
-//! Points of boards, each reconstructed from its own features, and the distances between them.
+//! Reconstruction of points of boards, each from its own features, and the distances between them.
 //!
-//! The pose of a board may be right although the space that a camera measures is too long: its squares have the size that is
-//! stated. A point that is reconstructed alone knows nothing of the board. Near its place q on the posed board the projection is
-//! linear: with the features r off, and their derivatives J by the place, in σ, it is at q + (JᵀJ)⁻¹ Jᵀr. By how much distances
-//! between the points of a frame come out too long is the s of
+//! The pose of a board may be right although the space that a camera measures is too long, since the size of its squares is
+//! stated. A point that is reconstructed alone is independent of the board. Near its position q on the posed board the
+//! projection is linear. If its features have the residuals r, and the derivatives J by the position, both in σ, it is at
+//! q + (JᵀJ)⁻¹ Jᵀr. The relative error s of the distances between the points of a frame minimises
 //!
 //! ```text
 //! Σ |r − J (c + ω × (q − q̄) + s (q − q̄))|² = min,
 //! ```
 //!
-//! in which c and ω move the board as a whole. So each point counts with what its features know of it: along the axis far less
-//! than across. All of it comes from u and v alone, not from ρ.
+//! where c and ω move the board as a whole. So each point counts with the information of its features: far less along the
+//! axis than across it. Only u and v are used, not ρ.
 
 use std::collections::BTreeMap;
 
@@ -23,51 +23,51 @@ use crate::numerics::weighted_mean;
 use crate::quantity::Estimate;
 use crate::solver::{self, Problem, SolverFeature};
 
-/// Step of the numerical derivatives, as a fraction of the distance: the error of a central difference is its square.
+/// Step of the numerical derivatives, as a fraction of the distance. The error of a central difference is its square.
 const STEP: f64 = 1e-4;
-/// Features further off count less (Huber), in their σ, if all state it: as where cameras and poses are refined.
+/// Scale of the Huber loss, in σ, if all features state their σ: the same as for the refinement of cameras and poses.
 const LOSS: f64 = 4.0;
-/// Shift, rotation and length.
+/// Number of free parameters: shift, rotation and length.
 const FREE: usize = 7;
 
-/// How well points of boards are reconstructed.
+/// The quality of reconstructed points of boards.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reconstruction {
     /// Number of frames.
     pub frames: usize,
-    /// Number of their points.
+    /// Number of points.
     pub points: usize,
-    /// Corners that are no points: only one micro-lens sees them, or their frame does not tell distances.
+    /// Number of corners without a point: only one micro-lens sees them, or their frame does not determine distances.
     pub left_out: usize,
-    /// Relative error of distances between points of a board; positive if they come out too long.
-    /// σ by the noise of the features or the scatter of the frames, whichever is larger.
+    /// Relative error of distances between points of a board; positive if they are too long.
+    /// σ follows from the noise of the features or the scatter of the frames, whichever is larger.
     pub too_long: Estimate,
     /// Root mean square distance of the points from the posed board across the axis, mm.
     pub across_mm: f64,
-    /// The same along the axis, mm.
+    /// Root mean square distance of the points from the posed board along the axis, mm.
     pub along_mm: f64,
 }
 
-/// A corner, and what its features say of where it is.
+/// A corner, with the information of its features on its position.
 struct Seen {
     frame: u32,
-    /// q, mm.
+    /// Position q on the posed board, mm.
     on_board: Point3<f64>,
-    /// JᵀJ.
+    /// Information matrix JᵀJ.
     information: Matrix3<f64>,
-    /// Jᵀr.
+    /// Right-hand side Jᵀr.
     right: Vector3<f64>,
-    /// |r|², and the number of its components.
+    /// Squared norm |r|², and the number of components of r.
     square: f64,
     residuals: usize,
-    /// How far it is reconstructed from its place on the board, mm; `None` if its features do not tell that.
+    /// Shift of the reconstructed point from the board, mm; `None` if its features do not determine it.
     off_mm: Option<Vector3<f64>>,
 }
 
 impl Reconstruction {
-    /// Reconstructs the corners of posed boards; `None` if no frame tells distances.
+    /// Reconstructs the corners of posed boards; `None` if no frame determines distances.
     ///
-    /// An error if the camera is not valid.
+    /// Fails if the camera is not valid.
     pub fn of(camera: &PlenopticCamera, bent: &BentBoard, posed: &Posed) -> Result<Option<Self>> {
         let stated = posed.reprojection.features.iter().all(|r| r.feature.std_dev_px.is_some());
         let seen = seen(camera, bent, posed, stated)?;
@@ -95,7 +95,8 @@ impl Reconstruction {
     }
 }
 
-/// The corners of posed boards by frame, with what their features say of them; whether all of these state their σ.
+/// Returns the corners of posed boards by frame, with the information of their features. `stated` is true if all features
+/// state their σ.
 fn seen(
     camera: &PlenopticCamera,
     bent: &BentBoard,
@@ -127,7 +128,7 @@ fn seen(
                 residuals += 1;
             }
         }
-        // One micro-lens tells a direction, which rounding makes a place.
+        // One micro-lens determines only a direction, but with rounding errors the matrix may be invertible.
         let node = |r: &FeatureResidual| (r.feature.k, r.feature.l);
         let seen_twice = features.iter().any(|(r, _)| node(r) != (k, l));
         let solved = information.cholesky().map(|root| root.solve(&right));
@@ -138,8 +139,8 @@ fn seen(
     Ok(corners.filter_map(corner).collect())
 }
 
-/// How u and v of features change with the place of their corner, px/mm; `None` if the frame has no pose, or the camera does
-/// not image places next to it.
+/// Returns the derivatives of u and v of features by the position of their corner, px/mm; `None` if the frame has no pose, or
+/// the camera does not image positions next to it.
 fn by_place(
     camera: &PlenopticCamera,
     bent: &BentBoard,
@@ -148,7 +149,7 @@ fn by_place(
 ) -> Result<Vec<Option<[Vector3<f64>; 2]>>> {
     let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
     let sides = axes.map(|axis| [axis, -axis]).concat();
-    // Boards one step nearer or further along each axis.
+    // Boards that are one step nearer or further along each axis.
     let mut poses = Vec::new();
     let mut first_of_frame = BTreeMap::new();
     for pose in &posed.poses {
@@ -192,8 +193,8 @@ fn by_place(
     Ok(residuals.iter().map(by_place).collect())
 }
 
-/// Relative error of the distances between the points of a frame, with σ by the noise of the features; `None` if they do
-/// not determine it. Where features do not state their σ, their residuals do.
+/// Fits the relative error of the distances between the points of a frame, with σ from the noise of the features; `None` if
+/// the points do not determine it. If features do not state their σ, the noise follows from the residuals.
 fn too_long(points: &[&Seen], stated: bool) -> Option<Estimate> {
     let on_board = points.iter().map(|p| p.on_board.coords);
     let middle = on_board.sum::<Vector3<f64>>() / points.len() as f64;
@@ -236,7 +237,7 @@ mod tests {
         }
     }
 
-    /// Features of tilted boards in a camera, with noise, px.
+    /// Returns features of tilted boards in a camera, with noise, px.
     fn features(noise_px: f64, seed: u64) -> Vec<BapFeature> {
         let pose = |(frame, z): (u32, f64)| {
             let turn = Vector3::new(0.4, -0.3 + 0.2 * f64::from(frame), 0.05);
@@ -272,8 +273,8 @@ mod tests {
         assert!(found.across_mm < 1e-5 && found.along_mm < 1e-4, "{found:?}");
     }
 
-    /// With all its lengths larger a camera sees the same, and takes the world to be larger; boards of the stated size are
-    /// nearer then, and turned.
+    /// A camera whose lengths are all larger has the same projections, but measures a larger world. Boards of the stated size
+    /// are then nearer, and turned.
     #[test]
     fn a_camera_that_is_too_large_measures_distances_that_are_too_long() {
         let mut camera = small_camera();
@@ -288,7 +289,7 @@ mod tests {
         assert!((found.too_long.value - 0.002).abs() < 2e-5, "{found:?}");
     }
 
-    /// Over many seeds the mean is 0, and the scatter is that which is stated.
+    /// Over many seeds, the mean is 0, and the scatter agrees with the stated σ.
     #[test]
     fn noise_does_not_make_distances_longer() {
         const SEEDS: u64 = 40;

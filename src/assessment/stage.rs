@@ -10,10 +10,10 @@ use crate::error::Result;
 use crate::finding::{self, Finding};
 use crate::model::Board;
 
-/// Whether a calibration is to be trusted, and where.
+/// The assessment of a calibration: whether it can be trusted, and its σ in space.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Assessment {
-    /// What to do with the camera.
+    /// Verdict on the camera.
     pub verdict: Verdict,
     /// The findings of the calibration and of this assessment, the heaviest first.
     pub findings: Vec<Finding>,
@@ -21,15 +21,15 @@ pub struct Assessment {
     pub outliers: Outliers,
     /// Systematic parts of the residuals.
     pub patterns: Patterns,
-    /// σ of reconstructed points; `None` if the camera is fixed, not determined or not
+    /// Standard deviations of reconstructed points; `None` if the camera is fixed, not determined or not
     /// converged.
     pub object_space: Option<ObjectSpace>,
-    /// The further board that would help most; `None` likewise.
+    /// Further board that would help most; `None` in the same cases, or if none helps.
     pub next_board: Option<NextBoard>,
 }
 
 impl Assessment {
-    /// Adds findings about the input of the calibration, which count for the verdict.
+    /// Adds findings about the input of the calibration, which affect the verdict.
     pub fn add(&mut self, findings: Vec<Finding>) {
         self.findings.extend(findings);
         finding::sort(&mut self.findings);
@@ -39,8 +39,7 @@ impl Assessment {
 
 /// Assesses a calibration made with this board.
 ///
-/// An error if the camera cannot be evaluated, which does not happen with one that `calibrate`
-/// returned.
+/// Fails if the camera cannot be evaluated, which does not happen for a camera from `calibrate`.
 pub fn assess(calibration: &Calibration, board: &Board) -> Result<Assessment> {
     let _span = tracing::info_span!("assessment").entered();
     let outliers = outliers(calibration);

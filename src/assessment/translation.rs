@@ -1,4 +1,4 @@
-//! A board moved in known steps: the displacement along the optical axis against the truth (paper,
+//! A board moved in known steps: measured against true displacement along the optical axis (paper,
 //! Table 3).
 
 use serde::Serialize;
@@ -23,23 +23,23 @@ pub struct Displacement {
 }
 
 impl Displacement {
-    /// |measured − true|, mm.
+    /// Returns |measured − true|, mm.
     #[must_use]
     pub fn absolute_error_mm(&self) -> f64 {
         (self.measured_mm - self.true_mm).abs()
     }
 
-    /// The absolute error over the true displacement.
+    /// Returns the absolute error over the true displacement.
     #[must_use]
     pub fn relative_error(&self) -> f64 {
         self.absolute_error_mm() / self.true_mm.abs()
     }
 }
 
-/// Mean and standard deviation.
+/// A mean and a standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
-    /// Mean.
+    /// Mean of the values.
     pub mean: f64,
     /// Standard deviation about the mean; `None` for a single value.
     #[serde(rename = "standard_deviation")]
@@ -57,20 +57,20 @@ impl Spread {
 /// over the steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Displacements {
-    /// From every frame to the next.
+    /// Displacements from every frame to the next.
     pub steps: Vec<Displacement>,
-    /// From the first frame to the last.
+    /// Displacement from the first frame to the last.
     pub whole: Displacement,
-    /// Whether poses moved against the sign of the step. Distances of other software have a direction of their own.
+    /// True if poses moved against the sign of the step. Distances from other software have their own direction.
     pub reversed: bool,
 }
 
 impl Displacements {
-    /// Displacements from distances along the optical axis, by frame; frames are `step_mm` apart, and
+    /// Computes displacements from distances along the optical axis, by frame. Frames are `step_mm` apart, and
     /// some may be missing.
     ///
     /// Distances may have either sign and grow in either direction (`RxLive` measures towards the camera),
-    /// so the direction follows from the first and last frames. An error if there are fewer than two
+    /// so the direction follows from the first and last frames. Fails if there are fewer than two
     /// frames.
     pub fn of(distances_mm: &[(u32, f64)], step_mm: f64) -> Result<Self> {
         if !(step_mm.is_finite() && step_mm != 0.0) {
@@ -100,7 +100,7 @@ impl Displacements {
         })
     }
 
-    /// Findings about the steps, for squares of this edge.
+    /// Returns findings about the steps, for squares of this edge.
     #[must_use]
     pub fn findings(&self, square_mm: f64) -> Vec<Finding> {
         let ratio = |step: &Displacement| step.measured_mm / step.true_mm;
@@ -110,7 +110,7 @@ impl Displacements {
         steps(&all, ratio(&self.whole), self.reversed, (step_mm, square_mm))
     }
 
-    /// Displacements from poses, measured at the middle of the board, where the distance is most
+    /// Computes displacements from poses, measured at the middle of the board, where the distance is most
     /// accurate.
     pub fn of_poses(poses: &[FramePose], board: &Board, step_mm: f64) -> Result<Self> {
         let corners = [0, board.corners() - 1].map(|corner| board.point_mm(corner));
@@ -123,13 +123,13 @@ impl Displacements {
         Ok(Self { reversed: way_mm * step_mm < 0.0, ..found })
     }
 
-    /// Relative errors of the steps.
+    /// Returns mean and standard deviation of the relative errors of the steps.
     #[must_use]
     pub fn relative(&self) -> Spread {
         Spread::of(self.steps.iter().map(Displacement::relative_error))
     }
 
-    /// Absolute errors of the steps, mm.
+    /// Returns mean and standard deviation of the absolute errors of the steps, mm.
     #[must_use]
     pub fn absolute_mm(&self) -> Spread {
         Spread::of(self.steps.iter().map(Displacement::absolute_error_mm))
@@ -151,14 +151,14 @@ mod tests {
         assert!((relative.mean - (0.01 + 0.02 + 0.05) / 3.0).abs() < 1e-12);
         assert!((all.absolute_mm().mean - (0.1 + 0.4 + 0.5) / 3.0).abs() < 1e-12);
         assert!((all.whole.measured_mm - 40.0).abs() < 1e-12);
-        // Measured towards the camera, in any order.
+        // Distances towards the camera, in any order.
         let turned: Vec<(u32, f64)> = distances.iter().rev().map(|&(f, z)| (f, -z)).collect();
         assert_eq!(Displacements::of(&turned, 10.0).unwrap(), all);
         assert!(Displacements::of(&distances[..1], 10.0).is_err());
         assert!(Displacements::of(&distances, 0.0).is_err());
     }
 
-    /// Distances of 300 mm and on, whose steps are these.
+    /// Returns displacements of these steps, from 300 mm on.
     fn moved(steps_mm: &[f64]) -> Displacements {
         let place = |i: usize| 300.0 + steps_mm[..i].iter().sum::<f64>();
         let places = (0..=steps_mm.len()).map(place);
@@ -179,7 +179,7 @@ mod tests {
         let [uneven] = &of(&[10.0, 20.0, 10.0, 10.0])[..] else { panic!("no uneven step") };
         let Issue::StepUneven { from: 1, to: 2, ratio } = uneven.issue else { panic!("{uneven}") };
         assert!((ratio - 2.0).abs() < 1e-9);
-        // Two images in the other's place.
+        // Two images are swapped.
         let swapped = of(&[20.0, -10.0, 20.0, 10.0]);
         assert_eq!(swapped.len(), 3);
         assert!(swapped.iter().all(|finding| finding.code() == "step-uneven"));

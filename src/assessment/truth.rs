@@ -1,4 +1,4 @@
-//! A calibration against the true camera and poses.
+//! Comparison of a calibration with the true camera and poses.
 
 use nalgebra::Isometry3;
 use serde::Serialize;
@@ -6,10 +6,10 @@ use serde::Serialize;
 use crate::error::{Error, Result};
 use crate::model::{BoardShape, FramePose, Parameter, PlenopticCamera, SHAPE};
 
-/// An intrinsic parameter against its true value.
+/// An intrinsic parameter and its true value.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ParameterError {
-    /// The paper's symbol.
+    /// Symbol of the paper.
     #[serde(rename = "parameter")]
     pub name: String,
     /// Unit of the values.
@@ -18,28 +18,28 @@ pub struct ParameterError {
     pub truth: f64,
     /// Estimated value.
     pub estimate: f64,
-    /// Its standard deviation, if known.
+    /// Standard deviation of the estimate; `None` if not known.
     #[serde(rename = "standard_deviation")]
     pub std_dev: Option<f64>,
 }
 
 impl ParameterError {
-    /// Estimate minus truth.
+    /// Returns estimate minus truth.
     #[must_use]
     pub fn error(&self) -> f64 {
         self.estimate - self.truth
     }
 
-    /// The error in standard deviations.
+    /// Returns the error in standard deviations; `None` if σ is not known.
     #[must_use]
     pub fn standardised(&self) -> Option<f64> {
         self.std_dev.filter(|s| *s > 0.0 && s.is_finite()).map(|s| self.error() / s)
     }
 }
 
-/// Errors of every parameter that both cameras have, in the order of [`Parameter::intrinsic`];
-/// `std_devs` are those of the estimate in the same order. The estimate may know another part of the
-/// array. An error if the cameras are of different kinds.
+/// Returns the errors of every parameter that both cameras have, in the order of [`Parameter::intrinsic`]. `std_devs` belong
+/// to the estimate, in the same order. The estimate may know another part of the
+/// array. Fails if the cameras are of different kinds.
 pub fn parameter_errors(
     truth: &PlenopticCamera,
     estimate: &PlenopticCamera,
@@ -68,7 +68,7 @@ pub fn parameter_errors(
         .collect())
 }
 
-/// Errors of every parameter of the shape of a board, with their standard deviations.
+/// Returns the errors of every parameter of the shape of a board, with their standard deviations.
 #[must_use]
 pub fn shape_errors(
     truth: &BoardShape,
@@ -85,21 +85,21 @@ pub fn shape_errors(
     Parameter::SHAPE.into_iter().zip(std_devs).map(error).collect()
 }
 
-/// Errors of poses, as root mean squares over the frames that both have.
+/// The errors of poses, as root mean squares over the frames that both sets have.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PoseErrors {
     /// Number of frames.
     pub frames: usize,
-    /// Error of the board's position across the optical axis, mm.
+    /// Error of the position of the board across the optical axis, mm.
     pub across_mm: f64,
-    /// Error of its distance, mm.
+    /// Error of the distance of the board, mm.
     pub along_mm: f64,
-    /// Error of its rotation, rad.
+    /// Error of the rotation of the board, rad.
     pub rotation_rad: f64,
 }
 
 /// Compares poses by frame. A board that is the same when turned by 180 degrees may have been labelled
-/// that way (`turned` takes the turned board's frame to its own). `None` without common frames.
+/// in this way; `turned` takes the frame of the turned board to the frame of the board. `None` without common frames.
 #[must_use]
 pub fn pose_errors(
     truth: &[FramePose],

@@ -11,20 +11,20 @@ use crate::calibration::{Calibration, Mode, SLOPE};
 use crate::checks::calibration as checks;
 use crate::finding::{self, Finding, Issue, Severity};
 
-/// What to do with a camera.
+/// The verdict on a camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
-    /// No finding speaks against it.
+    /// Camera without a finding against it.
     Good,
-    /// It may be right; the findings say what to look at.
+    /// Camera that may be right; the findings name the parts to check.
     UsableWithCare,
-    /// It is wrong, or not determined.
+    /// Camera that is wrong, or not determined.
     DoNotUse,
 }
 
 impl Verdict {
-    /// The verdict that findings lead to.
+    /// Returns the verdict that findings lead to.
     #[must_use]
     pub fn of(findings: &[Finding]) -> Self {
         match finding::worst(findings) {
@@ -45,7 +45,7 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// All findings about a calibration, the heaviest first.
+/// Returns all findings about a calibration, the heaviest first.
 pub(super) fn findings(
     calibration: &Calibration,
     outliers: &Outliers,
@@ -71,7 +71,7 @@ pub(super) fn findings(
     findings
 }
 
-/// m of the white images against the camera, unless its prior is contradicted already.
+/// Checks m of the white images against the camera, unless the prior on m is contradicted already.
 fn of_white_images(calibration: &Calibration) -> Option<Finding> {
     let told = |finding: &Finding| matches!(&finding.issue, Issue::PriorContradicted { quantity, .. } if quantity == SLOPE);
     let error = calibration.m_error()?;

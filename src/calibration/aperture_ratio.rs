@@ -1,8 +1,8 @@
-//! The aperture ratio φ of the micro-lenses by the widths of edges in the boards.
+//! Aperture ratio φ of the micro-lenses from the widths of edges in the boards.
 //!
-//! White images show φqᵢ, the blur radius of the pupil itself, with qᵢ = q'ᵢ − Δc/2. The line of a corner has the slope γ,
-//! and the corner the blur radius φρ = φqᵢ + φ(1 − γ)Δc/2. So the blur that is measured in boards over the part that
-//! changes with γ is φ, and φ gives the q'ᵢ that belong to the whole pitch, and with them fᵢ.
+//! White images show φqᵢ, the blur radius of the pupil itself, with qᵢ = q'ᵢ − Δc/2. A corner whose line has the slope
+//! γ has the blur radius φρ = φqᵢ + φ(1 − γ)Δc/2. So φ is the measured blur radius less φqᵢ, over (1 − γ)Δc/2. φ gives
+//! the q'ᵢ that belong to the whole pitch, and with them fᵢ.
 
 use std::collections::BTreeMap;
 
@@ -20,46 +20,47 @@ use crate::numerics::{median, weighted_mean};
 use crate::precalibration::MicroImageArray;
 use crate::quantity::Estimate;
 
-/// What the widths of edges say of a camera.
+/// Aperture ratios of a camera from the widths of edges.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BlurMeasurement {
-    /// The aperture ratio of all micro-lenses.
+    /// Aperture ratio of all micro-lenses.
     pub aperture_ratio: Estimate,
-    /// What each lens type says by itself, by type; `None` without features.
+    /// Measurement of each lens type by itself, by type; `None` without features.
     pub types: Vec<Option<TypeBlur>>,
 }
 
-/// What the widths of edges say of one lens type.
+/// Measurement of one lens type from the widths of edges.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TypeBlur {
-    /// Its own aperture ratio.
+    /// Aperture ratio from this type alone.
     pub aperture_ratio: Estimate,
-    /// Mean of measured less predicted blur radii, with the aperture ratio of all types; σ by the scatter of frames, px.
+    /// Mean of measured less predicted blur radii, with the aperture ratio of all types; σ by the scatter of frames,
+    /// px.
     pub excess_px: Estimate,
     /// Number of its features.
     pub features: usize,
 }
 
-/// Features this many times further than the typical one from all others of their frame show something else.
+/// Outliers of a frame: features this many times further than the typical one from all others.
 const OUTLIERS: f64 = 5.0;
-/// Rounds in which they are left out.
+/// Rounds in which outliers are left out.
 const ROUNDS: usize = 5;
-/// Half the width of a normal distribution, its median deviation, in σ.
+/// Median deviation of a normal distribution, in σ.
 const MEDIAN_DEVIATION: f64 = 0.6745;
 
-/// A feature whose blur was measured.
+/// Feature with a measured blur radius.
 struct Measured {
     frame: u32,
     lens_type: usize,
-    /// The aperture ratio by this feature alone.
+    /// Aperture ratio from this feature alone.
     ratio: Estimate,
-    /// By how much it changes with one σ of what all features share.
+    /// Change of the ratio with one σ of the error that all features share.
     shared: f64,
-    /// (1 − γ) Δc/2, px: by how much its blur radius grows with the aperture ratio.
+    /// Growth (1 − γ) Δc/2 of the blur radius with the aperture ratio, px.
     growth_px: f64,
 }
 
-/// Ω in pixels.
+/// Internal parameters Ω in pixels.
 struct InPixels<'a> {
     internal: &'a InternalParameters,
     half_pitch: f64,
@@ -67,13 +68,13 @@ struct InPixels<'a> {
 }
 
 impl InPixels<'_> {
-    /// qᵢ with another aperture ratio, px; `None` of a type that is not there.
+    /// Returns qᵢ with another aperture ratio, px; `None` if there is no such type.
     fn q(&self, lens_type: usize, ratio: f64) -> Option<f64> {
         let q_prime = self.internal.q_prime_mm.get(lens_type)? / self.pixel_mm;
         Some((q_prime - self.half_pitch) * self.internal.aperture_ratio() / ratio)
     }
 
-    /// σ of φqᵢ, px.
+    /// Returns σ of φqᵢ, px.
     fn std_dev(&self, lens_type: usize) -> f64 {
         let of_type = |of: &Vec<f64>| of.get(lens_type).copied();
         let stated = of_type(&self.internal.q_prime_std_dev_mm);
@@ -81,9 +82,9 @@ impl InPixels<'_> {
         stated.or_else(assumed).unwrap_or(0.0) * self.internal.aperture_ratio() / self.pixel_mm
     }
 
-    /// The aperture ratio that a measured blur radius corresponds to: (blur − φqᵢ)/((1 − γ)Δc/2), where γ follows from ρ. It
-    /// is expanded about the aperture ratio that the corner was found with, so that the local q'ᵢ, which varies over a
-    /// tilted array, cancels.
+    /// Computes the aperture ratio from a measured blur radius: (blur − φqᵢ)/((1 − γ)Δc/2), where γ follows from ρ. The
+    /// ratio is expanded about the one with which the corner was found. So the local q'ᵢ, which varies over a tilted
+    /// array, cancels.
     fn measured(&self, f: &BapFeature, lens_type: usize) -> Option<Measured> {
         let (blur, rho) = (f.blur?, f.rho_px?);
         let growth_px = rho - self.q(lens_type, blur.aperture_ratio)?;
@@ -99,8 +100,8 @@ impl InPixels<'_> {
         })
     }
 
-    /// Estimates the aperture ratio from some features. Features of a frame have errors in common, so its σ comes from the
-    /// scatter between frames; errors that all frames share, σ of q'ᵢ and the error of the model are added to it.
+    /// Estimates the aperture ratio from some features. Features of a frame share errors, so its σ comes from the
+    /// scatter between frames. Errors that all frames share, σ of q'ᵢ and the model error are added.
     fn aperture_ratio<'a>(
         &self,
         some: impl Iterator<Item = &'a Measured> + Clone,
@@ -122,8 +123,8 @@ impl InPixels<'_> {
 }
 
 impl BlurMeasurement {
-    /// By features that state their measured blur, with internal parameters of a datasheet; `None` if there are none. An
-    /// error if it is not possible.
+    /// Measures the aperture ratios from features that state their measured blur, with internal parameters of a
+    /// datasheet. Returns `None` if there are none, and an error if the aperture ratio is not possible.
     pub(super) fn of(
         start: &Start,
         grid: Option<&MicroImageArray>,
@@ -161,7 +162,7 @@ impl BlurMeasurement {
         Ok(Some(Self { aperture_ratio, types: (0..types).map(of_type).collect() }))
     }
 
-    /// A finding about the two lens types that disagree most on the aperture ratio, if they do.
+    /// Returns a finding about the two lens types that disagree most on the aperture ratio, if they do.
     pub(super) fn contradiction(&self) -> Option<Finding> {
         let of_types =
             self.types.iter().enumerate().filter_map(|(i, t)| Some((i, (*t)?.aperture_ratio)));
@@ -169,7 +170,7 @@ impl BlurMeasurement {
     }
 }
 
-/// The start with an aperture ratio.
+/// Returns the start with the measured aperture ratio.
 pub(super) fn with_aperture_ratio(
     start: Start,
     grid: Option<&MicroImageArray>,
@@ -186,7 +187,7 @@ pub(super) fn with_aperture_ratio(
     }
 }
 
-/// Δc, mm.
+/// Returns Δc, mm.
 fn pitch_mm(internal: &InternalParameters, grid: &MicroImageArray, pixel_mm: f64) -> f64 {
     internal.micro_image_pitch_mm.unwrap_or(grid.pitch_px * pixel_mm)
 }
@@ -226,7 +227,7 @@ pub(super) fn with_that_of_start(
     features
 }
 
-/// The mean over frames of the means of frames.
+/// Returns the mean over frames of the means of frames.
 fn by_frames(values: impl Iterator<Item = (u32, Estimate)>) -> Option<Estimate> {
     let mut frames: BTreeMap<u32, Vec<Estimate>> = BTreeMap::new();
     for (frame, value) in values {
@@ -235,7 +236,7 @@ fn by_frames(values: impl Iterator<Item = (u32, Estimate)>) -> Option<Estimate> 
     weighted_mean(frames.values().filter_map(|of_frame| of_one_frame(of_frame)))
 }
 
-/// The mean of values with their σ, without those far from all others.
+/// Returns the mean of values with their σ, without outliers.
 fn of_one_frame(values: &[Estimate]) -> Option<Estimate> {
     let mut kept = values.to_vec();
     let mut found = None;

@@ -1,8 +1,8 @@
-//! Whether the board is flat, as the frames show it.
+//! Test whether the board is flat.
 //!
-//! A board is held to be flat until the frames contradict that. After the refinement with a flat board, its shape
-//! is set free, with priors at 0 that say how flat boards are. What then is more than 3 σ from 0 stays: the bend
-//! as a whole (both sags and the twist), and the aspect. Otherwise the result is that of the flat board, which the
+//! A board counts as flat until the frames contradict that. After the refinement with a flat board, its shape is set
+//! free, with priors at 0 that state how flat boards are. Parts that are more than 3 σ from 0 are kept: the bend as a
+//! whole (both sags and the twist), and the aspect. Otherwise the result is the one with the flat board, which the
 //! trial has not touched.
 
 use tracing::info;
@@ -16,42 +16,42 @@ use crate::model::{BentBoard, Parameter, SHAPE};
 use crate::numerics::normal_deviate;
 use crate::solver::{CostOptions, Iteration, Prior, Problem, Refinement, Termination};
 
-/// How flat boards are: σ of sags and twist as a fraction of the diagonal, and σ of the aspect.
+/// Flatness of boards: σ of sags and twist as a fraction of the diagonal, and σ of the aspect.
 const FLAT: f64 = 1e-3;
-/// What is further from 0 in σ is not chance.
+/// Distance from 0, in σ, beyond which a value is not due to chance.
 const SIGNIFICANT: f64 = 3.0;
-/// Index of the aspect in the table of parameters; before it are those of the bend.
+/// Index of the aspect in the table of parameters; the parameters of the bend precede it.
 const ASPECT: usize = 3;
 
-/// The board as a calibration has found it.
+/// Board as a calibration has found it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardResult {
-    /// Its size and shape.
+    /// Size and shape of the board.
     pub bent: BentBoard,
-    /// σ of its shape, in the order of [`Parameter::SHAPE`]; `None` for what was not estimated.
+    /// σ of its shape, in the order of [`Parameter::SHAPE`]; `None` for parameters that were not estimated.
     pub std_devs: [Option<f64>; SHAPE],
-    /// What came of trying whether it is flat.
+    /// Result of the flatness trial.
     pub trial: Trial,
-    /// What was refined only to find out.
+    /// Refinements that only served the trial.
     pub aside: Effort,
 }
 
-/// What came of trying whether a board is flat.
+/// Result of the flatness trial of a board.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Trial {
-    /// It was not tried: the shape of the board is stated, or is to be found whatever comes out.
+    /// Trial omitted: the shape of the board is stated, or is estimated in any case.
     NotTried,
-    /// So few frames do not show it.
+    /// Trial omitted: there are too few frames.
     TooFewFrames,
-    /// Its shape could not be found, for this reason.
+    /// Failed trial: the shape could not be found, for this reason.
     Failed(String),
-    /// It was tried.
+    /// Completed trial.
     Tried {
-        /// Value and σ of each parameter with all of them free; `None` for what is fixed.
+        /// Value and σ of each parameter with all of them free; `None` for fixed parameters.
         values: [Option<(f64, f64)>; SHAPE],
-        /// How far the bend and the aspect are from 0, in σ of a normal variable; `None` for what is not determined.
+        /// Distance of the bend and the aspect from 0, in σ of a normal variable; `None` if it is not determined.
         std_devs_from_zero: [Option<f64>; 2],
-        /// Why what is not flat keeps the values of the trial: the refinement of these alone failed.
+        /// Reason why the parameters that are not 0 keep the values of the trial: the refinement of these alone failed.
         unsettled: Option<String>,
     },
 }
@@ -59,9 +59,9 @@ pub enum Trial {
 /// Refinements whose result was not kept.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Effort {
-    /// Their iterations.
+    /// Number of their iterations.
     pub iterations: usize,
-    /// The time that they took, s.
+    /// Time that they took, s.
     pub time_s: f64,
 }
 
@@ -73,7 +73,7 @@ impl Effort {
 }
 
 impl BoardResult {
-    /// Value and σ of each parameter when all were free; `None` for what was fixed or not tried.
+    /// Returns value and σ of each parameter when all were free; `None` for parameters that were fixed or not tried.
     #[must_use]
     pub fn tried(&self) -> [Option<(f64, f64)>; SHAPE] {
         match self.trial {
@@ -82,7 +82,7 @@ impl BoardResult {
         }
     }
 
-    /// A limit (2 σ) of each parameter that was tried and is taken to be 0.
+    /// Returns a limit (2 σ) of each parameter that was tried and is set to 0.
     #[must_use]
     pub fn limits(&self) -> [Option<f64>; SHAPE] {
         let tried = self.tried();
@@ -94,7 +94,7 @@ impl BoardResult {
     }
 }
 
-/// A refinement with the priors that it had, and what was tried before.
+/// Refinement with its priors, and the trial before it.
 pub(super) struct Settled {
     pub refined: Refined,
     pub priors: Vec<(Prior, PriorSource)>,
@@ -102,7 +102,7 @@ pub(super) struct Settled {
     pub aside: Effort,
 }
 
-/// Which parameters of a shape are free, and σ of their priors.
+/// Free parameters of a shape, and σ of their priors.
 #[derive(Clone, Copy, PartialEq)]
 struct Free {
     parameters: [bool; SHAPE],
@@ -117,7 +117,7 @@ impl Free {
 }
 
 impl Settings<'_> {
-    /// Refines camera, board and poses; `cost` has these priors.
+    /// Refines camera, board and poses. `priors` are the priors of `cost`.
     pub fn refine_with_board(
         &self,
         problem: &Problem,
@@ -130,7 +130,7 @@ impl Settings<'_> {
             bend_mm: FLAT * problem.board.board.diagonal_mm(),
             aspect: FLAT,
         };
-        // Who knows something of the shape does not hold the board to be flat.
+        // A stated prior on the shape means that the board does not count as flat.
         let stated =
             priors.iter().any(|(a, _)| Parameter::SHAPE.iter().any(|p| p.name() == a.quantity));
         let model = match self.options.board {
@@ -160,7 +160,7 @@ impl Settings<'_> {
             known_weight: Some(flat.cost.prior_weight),
             ..*self
         };
-        // If a trial fails, the present result stands.
+        // If the trial fails, the present result stands.
         let free_trial = match near.refine_free(&start, (cost, priors), &free, progress) {
             Ok(trial) => trial,
             Err(error) => return Ok(known(flat, Trial::Failed(error.to_string()), none)),
@@ -191,7 +191,7 @@ impl Settings<'_> {
         Ok(Settled { trial: tried(failed), ..settled })
     }
 
-    /// Evaluates the cost at a problem, with the shape that its board has. With `keeps_shape` the shape is no free parameter.
+    /// Evaluates the cost at a problem, with the shape of its board. With `keeps_shape` the shape is fixed.
     pub fn evaluated(
         &self,
         problem: &Problem,
@@ -204,7 +204,7 @@ impl Settings<'_> {
         Ok(Settled { refined, priors: priors.to_vec(), trial, aside })
     }
 
-    /// Refines with parameters of the shape free that have a prior at 0 each, unless another is stated.
+    /// Refines with free parameters of the shape, each of which has a prior at 0 unless another is stated.
     fn refine_free(
         &self,
         problem: &Problem,
@@ -233,8 +233,8 @@ impl Settings<'_> {
         Ok(Settled { refined, priors, trial: Trial::NotTried, aside: Effort::default() })
     }
 
-    /// The same again, if only some of the parameters that were tried stay free, or if the board is bent by more
-    /// than its priors allow for: then the priors have to allow for as much. If that fails, the trial with the reason.
+    /// Refines again if only some of the tried parameters stay free, or if the board is bent by more than its priors
+    /// allow for; then the priors allow for as much. If the refinement fails, returns the trial with the reason.
     fn settle(
         &self,
         problem: &Problem,
@@ -270,7 +270,7 @@ fn is_fixed(cost: &CostOptions, name: &str) -> bool {
     cost.fixed.iter().any(|fixed| fixed == name)
 }
 
-/// A cost that keeps more of the shape's parameters, by their index.
+/// Returns a cost that fixes further parameters of the shape, by their index.
 fn with_fixed(cost: &CostOptions, fixed: impl Fn(usize) -> bool) -> CostOptions {
     let mut cost = cost.clone();
     for (i, parameter) in Parameter::SHAPE.iter().enumerate() {
@@ -281,15 +281,16 @@ fn with_fixed(cost: &CostOptions, fixed: impl Fn(usize) -> bool) -> CostOptions 
     cost
 }
 
-/// Value and σ of each parameter of a shape; `None` for those that are fixed.
+/// Returns value and σ of each parameter of a shape; `None` for fixed parameters.
 fn values(refined: &Refined) -> [Option<(f64, f64)>; SHAPE] {
     let Refined { refinement, uncertainty, .. } = refined;
     let std_devs = uncertainty.shape_std_devs(refinement.camera.lens_types());
     std::array::from_fn(|i| Some((refinement.shape.value(Parameter::SHAPE[i]), std_devs[i]?)))
 }
 
-/// How far from 0 the frames show the bend and the aspect to be, in σ of a normal variable. Of the bend that is the
-/// furthest of its parameters, and of sum and difference of the sags: one of them may be well known where the other is not.
+/// Computes the distance of the bend and the aspect from 0, in σ of a normal variable. For the bend it is the largest
+/// distance among its parameters and the sum and the difference of the sags: one of these may be well known where
+/// another is not.
 fn std_devs_from_zero(refined: &Refined) -> [Option<f64>; 2] {
     let Refined { refinement, uncertainty, .. } = refined;
     let rows = uncertainty.shape_rows(refinement.camera.lens_types());
@@ -316,7 +317,7 @@ fn std_devs_from_zero(refined: &Refined) -> [Option<f64>; 2] {
     [bend, one(ASPECT)]
 }
 
-/// Findings about the shape of the board, and about a trial of its shape that failed.
+/// Returns findings about the shape of the board, and about a trial of its shape that failed.
 pub(super) fn findings_of(board: &BoardResult) -> Vec<Finding> {
     let estimated = board.std_devs.iter().any(Option::is_some);
     let failed = match &board.trial {

@@ -1,4 +1,4 @@
-//! Errors before and after the refinement: whether camera and observations belong together.
+//! Checks before and after the refinement, and whether camera and observations belong together.
 
 use crate::calibration::numbering::check_numbering;
 use crate::calibration::{CalibrationOptions, LeftOut, Mode, Start};
@@ -8,7 +8,7 @@ use crate::model::{BapFeature, Board, Observations, PlenopticCamera};
 use crate::precalibration::MicroImageArray;
 use crate::solver::{self, LossKind, Refinement};
 
-/// The observations without the given frames, and those frames.
+/// Returns the observations without the given frames, and those frames.
 pub(super) fn without_frames(
     observations: &Observations,
     frames: &[u32],
@@ -29,10 +29,10 @@ pub(super) fn without_frames(
     Ok((Observations { centers: observations.centers.clone(), features: kept }, excluded.collect()))
 }
 
-/// Losses act where residuals are; these are not much smaller than 1.
+/// Smallest scale of a loss. A loss acts where residuals are, and these are not much smaller than 1.
 const LEAST_SCALE: f64 = 0.01;
 
-/// An error unless there is enough to calibrate from, and every observation is possible.
+/// Returns an error unless there is enough to calibrate from, and every observation is possible.
 pub(super) fn check_observations(
     start: &Start,
     board: &Board,
@@ -65,8 +65,8 @@ pub(super) fn check_observations(
     Ok(())
 }
 
-/// An error if a feature lies far from the micro-image whose index it has. Centres are those of the
-/// grid, or, without one, those of the camera.
+/// Returns an error if a feature lies far from the micro-image whose index it has. Centres come from the grid or,
+/// without one, from the camera.
 pub(super) fn check_indices(
     camera: &PlenopticCamera,
     grid: Option<&MicroImageArray>,
@@ -108,7 +108,7 @@ pub(super) fn check_indices(
     Err(Error::Observation { observation: Observed::Feature { frame, corner, k, l }, message })
 }
 
-/// An error if the refined camera or a pose is impossible.
+/// Returns an error if the refined camera or a pose is impossible.
 pub(super) fn check_refined(refinement: &Refinement) -> Result<()> {
     let poses = refinement.poses.iter().all(|p| p.to_homogeneous().iter().all(|v| v.is_finite()));
     let reason = match refinement.camera.validate() {

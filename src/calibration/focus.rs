@@ -1,9 +1,9 @@
-//! At which distance the main lens is focused, as the boards show it: to start from, and to check what the project
-//! states.
+//! Focus distance of the main lens as the boards show it: as a start, and to check the stated one.
 //!
-//! The virtual depth of a corner says where its image is, a = D − b before the array, by the slope of its line, γ = 1 − 1/ν = 1 + d/a. The pose of its
-//! board, from the barycentres, says where the corner is, z, and with F where its image should be, b = Fz/(z − F). D and d
-//! follow from the focus distance h, F and m; the pose grows with D + d. So one number, h, has to make both agree.
+//! The slope of the line of a corner, γ = 1 − 1/ν = 1 + d/a, shows its virtual depth and so the position of its image,
+//! a = D − b before the array. The pose of its board, from the barycentres, gives the distance z of the corner, and
+//! with F the position that its image should have, b = Fz/(z − F). D and d follow from the focus distance h, F and m;
+//! the pose grows with D + d. So one number, h, has to make both agree.
 
 use std::collections::BTreeMap;
 
@@ -16,26 +16,27 @@ use crate::model::{
 };
 use crate::numerics::median;
 
-/// Distances that are tried, from the nearest that a lens can be focused at (4F) to this many F, in equal ratios.
+/// Largest focus distance that is tried, in F. The distances begin at the nearest that a lens can be focused at (4F),
+/// and grow in equal ratios.
 const FARTHEST: f64 = 1000.0;
 const TRIALS: u32 = 300;
-/// What is stated stands if D is within this of that by the boards, relative; thin lenses and poses from barycentres are no
-/// better. A difference of a few of it is that of F, and worth no word.
+/// Relative difference of D up to which the stated focus distance stands; thin lenses and poses from barycentres are no
+/// better. A difference of up to twice as much may be due to F, and raises no warning.
 const AGREES: f64 = 0.015;
 const REMARKABLE: f64 = 0.03;
-/// Or if it explains the virtual depths as well as this, relative to what the boards say.
+/// Mismatch of the virtual depths, relative to the best focus distance, up to which the stated one stands as well.
 const AS_WELL: f64 = 1.5;
-/// Fewer corners say nothing.
+/// Fewest corners that determine a focus distance.
 const FEWEST: usize = 20;
 
-/// A corner: γ, and its distance from the main lens over D + d.
+/// Corner: γ, and its distance from the main lens over D + d.
 struct Corner {
     slope: f64,
     distance: f64,
 }
 
-/// The start with the focus distance by the boards if the stated one does not agree with them, and a warning if that is
-/// remarkable. What fixes D leaves it as it is.
+/// Returns the start with the focus distance by the boards if the stated one disagrees with them, and a warning if the
+/// difference is remarkable. Returns `None` if an option fixes D.
 pub(super) fn refocused(
     start: &Start,
     initial: &PlenopticCamera,
@@ -72,7 +73,7 @@ pub(super) fn refocused(
     Some((Start::Datasheet(sheet, internal.clone()), (off > REMARKABLE).then_some(finding)))
 }
 
-/// What D and d follow from, besides h.
+/// Quantities that determine D and d, besides h.
 struct Lens<'a> {
     sheet: &'a Datasheet,
     m_mm: f64,
@@ -80,7 +81,7 @@ struct Lens<'a> {
 }
 
 impl Lens<'_> {
-    /// D and d, mm; `None` if a focus distance leaves no place for the array.
+    /// Computes D and d, mm. Returns `None` if a focus distance leaves no place for the array.
     fn distances(&self, focus_distance_mm: f64) -> Option<(f64, f64)> {
         let (lens_to_mla, mla_to_sensor) = optics::initial_distances(
             self.sheet.focal_length_mm,
@@ -93,7 +94,7 @@ impl Lens<'_> {
         possible.then_some((lens_to_mla, mla_to_sensor))
     }
 
-    /// The typical difference of γ between what corners show and what their distances say.
+    /// Computes the median difference between γ of the corners and γ from their distances.
     fn mismatch(&self, focus_distance_mm: f64, corners: &[Corner]) -> Option<f64> {
         let (lens_to_mla, mla_to_sensor) = self.distances(focus_distance_mm)?;
         let focal_length = self.sheet.focal_length_mm;
@@ -111,7 +112,7 @@ impl Lens<'_> {
     }
 }
 
-/// The corners of all boards that have a pose and were seen with their blur.
+/// Returns the corners of all boards that have a pose and features with blur.
 fn corners(
     initial: &PlenopticCamera,
     internal: &InternalParameters,
@@ -133,7 +134,7 @@ fn corners(
         let Some(pose) = poses.first() else { continue };
         let mut by_corner: BTreeMap<i32, (f64, f64)> = BTreeMap::new();
         for feature in features {
-            // A camera that is calibrated from corners only has no types.
+            // A camera calibrated from corners only has no lens types.
             let lens_type = initial.lattice.lens_type(feature.k, feature.l, types);
             let q_prime = internal.q_prime_mm.get(lens_type);
             let (Some(q_prime), Some(rho)) = (q_prime, feature.rho_px) else { continue };

@@ -16,16 +16,16 @@ use crate::solver::{
     self, CostOptions, Problem, Projected, SolverCenter, SolverFeature, SolverOptions,
 };
 
-/// A pose alone converges in a few steps; the choice between two needs no more.
+/// Iterations for the choice between two poses: a pose alone converges in a few steps.
 const CHOICE_ITERATIONS: usize = 5;
 
-/// Poses that differ by less in rotation lead to the same refined pose.
+/// Difference of rotation below which poses lead to the same refined pose, rad.
 pub(super) const ALIKE_RAD: f64 = 0.1;
-/// Two refinements that reach the same pose end in costs that differ by less.
+/// Relative difference of the costs above which two refinements did not reach the same pose.
 const CLEARLY_LOWER: f64 = 1e-3;
 
-/// Standard deviation of an observation without its own, px. The factor in the options of the cost
-/// then is the standard deviation itself.
+/// Standard deviation of an observation without its own, px. The factor in the options of the cost is then the standard
+/// deviation itself.
 const NO_OWN_STD_DEV: f64 = 1.0;
 
 /// A frame that was not used.
@@ -35,12 +35,12 @@ pub struct LeftOut {
     pub frame: u32,
     /// Number of its features.
     pub features: usize,
-    /// Why.
+    /// Reason why it was not used.
     pub reason: Issue,
 }
 
 impl LeftOut {
-    /// A finding that says so.
+    /// Returns a finding about the frame.
     #[must_use]
     pub fn finding(&self) -> Finding {
         Finding::left_out(self.frame, None, self.reason.clone())
@@ -54,12 +54,12 @@ pub(super) struct Frames {
     pub left_out: Vec<LeftOut>,
 }
 
-/// Initial poses of all frames: those given, and of the others what PnP finds.
+/// Returns initial poses of all frames: the given ones, and for the other frames those that PnP finds.
 ///
-/// PnP on the barycentres gives up to two poses mirrored in tilt. Parallax and blur show which way
-/// a board is tilted: each candidate is refined with the camera fixed, and the one that leads to the
-/// lower cost is taken, as PnP gave it. (The refined pose would fit the initial camera so well that
-/// the solver would need half as many steps again to leave it.)
+/// PnP on the barycentres gives up to two poses, mirrored in tilt. Parallax and blur show which way a board is tilted.
+/// So each candidate is refined with the camera fixed, and the one that leads to the lower cost is returned, as PnP
+/// gave it. (The refined pose would fit the initial camera so well that the solver would need half as many steps again
+/// to leave it.)
 pub(super) fn initial_frames(
     camera: &PlenopticCamera,
     board: &BentBoard,
@@ -98,7 +98,7 @@ pub(super) fn initial_frames(
     Ok(Frames { poses, features, left_out })
 }
 
-/// The frames of which poses are given, at these.
+/// Returns the frames with a given pose, at these poses.
 pub(super) fn given_frames(observations: &Observations, given: &[FramePose]) -> Frames {
     let mut by_frame: BTreeMap<u32, usize> = BTreeMap::new();
     for feature in &observations.features {
@@ -114,11 +114,11 @@ pub(super) fn given_frames(observations: &Observations, given: &[FramePose]) -> 
     Frames { poses, features: of_these.copied().collect(), left_out }
 }
 
-/// Poses for another refinement if some board turns out to be tilted the other way; `None` if no
-/// board is mirrored.
+/// Returns poses for another refinement if some board turns out to be tilted the other way; `None` if no board is
+/// mirrored.
 ///
-/// The initial camera may be too inaccurate to decide, and a mirrored board then keeps the refinement
-/// in a wrong minimum. The refined camera can decide.
+/// The initial camera may be too inaccurate to decide, and a mirrored board then keeps the refinement in a wrong
+/// minimum. The refined camera can decide.
 pub(super) fn reconsidered_poses(
     refined: &Problem,
     frames: &Frames,
@@ -155,8 +155,8 @@ pub(super) fn reconsidered_poses(
     Ok(Some(candidates.iter().zip(chosen).map(pose).collect()))
 }
 
-/// For every frame the index of the candidate that leads to the lowest cost with the camera fixed.
-/// A later candidate has to be better by more than [`CLEARLY_LOWER`].
+/// Returns for every frame the index of the candidate that leads to the lowest cost with the camera fixed. A later
+/// candidate has to be better by more than [`CLEARLY_LOWER`].
 fn choose(
     camera: &PlenopticCamera,
     board: &BentBoard,
@@ -202,7 +202,7 @@ fn choose(
     Ok(best.into_iter().map(|(_, round)| round).collect())
 }
 
-/// Features as the solver takes them, every one of a frame that has a pose.
+/// Converts features for the solver. The frame of every feature has a pose.
 pub(super) fn solver_features(
     features: &[BapFeature],
     poses: &[FramePose],
@@ -213,8 +213,8 @@ pub(super) fn solver_features(
     for f in features {
         *of_corner.entry((f.frame, f.corner)).or_default() += 1.0;
     }
-    // ρ of a corner follows from its virtual depth, one measurement that all its features in a frame
-    // share. With √n times its σ the n features together weigh as much as that one measurement.
+    // ρ of a corner follows from its virtual depth, one measurement that all its features in a frame share. With √n
+    // times its σ, the n features together weigh as much as this measurement.
     let rho_std_dev =
         |f: &BapFeature| f.rho_std_dev_px.map(|own| own * of_corner[&(f.frame, f.corner)].sqrt());
     let to_solver = |f: &BapFeature| SolverFeature {
@@ -233,7 +233,7 @@ pub(super) fn solver_features(
     features.iter().map(to_solver).collect()
 }
 
-/// Centres as the solver takes them.
+/// Converts centres for the solver.
 pub(super) fn solver_centers(centers: &[MicroImageCenter]) -> Vec<SolverCenter> {
     let to_solver = |c: &MicroImageCenter| SolverCenter {
         k: c.k,
@@ -245,7 +245,7 @@ pub(super) fn solver_centers(centers: &[MicroImageCenter]) -> Vec<SolverCenter> 
     centers.iter().map(to_solver).collect()
 }
 
-/// Observed minus projected for every feature of a problem.
+/// Computes observed minus projected for every feature of a problem.
 pub(super) fn feature_residuals(
     problem: &Problem,
     features: &[BapFeature],
@@ -279,7 +279,7 @@ mod tests {
 
     const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
 
-    /// The board in front of the camera, tilted about x through its middle.
+    /// Returns the pose of the board in front of the camera, tilted about x through its middle.
     fn tilted(angle_rad: f64) -> Isometry3<f64> {
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), angle_rad);
         let middle = Point3::new(12.0, 6.0, 0.0);
@@ -287,7 +287,7 @@ mod tests {
         Isometry3::from_parts(Translation3::from(place), rotation)
     }
 
-    /// What `solve` makes of one frame at this pose.
+    /// Applies `solve` to one frame at this pose.
     fn of_frame<T>(
         pose: &Isometry3<f64>,
         features: &[BapFeature],
@@ -321,8 +321,8 @@ mod tests {
         residuals.iter().map(square).sum()
     }
 
-    /// Gross outliers that lie towards the mirrored pose: that pose has the lower sum of squares, but
-    /// not the lower cost with the loss used to refine the poses.
+    /// Gross outliers lie towards the mirrored pose. It has the lower sum of squares, but not the lower cost with the
+    /// loss used to refine the poses.
     #[test]
     fn the_robust_cost_chooses_the_pose() {
         let (right, mirrored) = (tilted(0.5), tilted(-0.5));

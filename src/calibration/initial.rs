@@ -9,10 +9,10 @@ use crate::model::{
 };
 use crate::precalibration::MicroImageArray;
 
-/// The camera to start the refinement from. The array is placed so that the micro-image centres are
+/// Returns the camera from which the refinement starts. The array is placed so that the micro-image centres are
 /// reprojected onto the grid. The exit pupil lies on the axis at e_z = `exit_pupil_mm`.
 ///
-/// An error if a value is impossible.
+/// Returns an error if a value is impossible.
 pub fn initial_camera(
     datasheet: &Datasheet,
     internal: &InternalParameters,
@@ -40,7 +40,7 @@ pub fn initial_camera(
     }
     let pitch = optics::micro_lens_pitch(micro_image_pitch, pupil_to_mla, mla_to_sensor);
     let principal_point = datasheet.sensor.center_px();
-    // The centre of the array seen from the pupil meets the sensor at the centre of the grid.
+    // The ray from the pupil through the centre of the array meets the sensor at the centre of the grid.
     let shrink = pupil_to_mla / (pupil_to_mla + mla_to_sensor);
     let focal_length = |&q: &f64| optics::micro_lens_focal_length(q, pitch, mla_to_sensor);
     Ok(PlenopticCamera {

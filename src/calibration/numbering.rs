@@ -1,4 +1,4 @@
-//! The order in which the corners of features are numbered.
+//! Order in which the corners of features are numbered.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::finding::{CornerNumbering, Finding};
 use crate::model::{BapFeature, Board};
 
-/// An error if the corners are numbered in another order than row by row from 0.
+/// Returns an error if the corners are not numbered row by row from 0.
 pub(super) fn check_numbering(features: &[BapFeature], board: &Board) -> Result<()> {
     let frames = shown_corners(features);
     let misfits = CornerNumbering::ALL
@@ -20,14 +20,14 @@ pub(super) fn check_numbering(features: &[BapFeature], board: &Board) -> Result<
     }
 }
 
-/// A corner as a frame shows it.
+/// Corner as a frame shows it.
 struct Shown {
     corner: i32,
-    /// Mean place of its features, px.
+    /// Mean position of its features, px.
     at: Vector2<f64>,
 }
 
-/// The corners by frame.
+/// Returns the corners by frame.
 fn shown_corners(features: &[BapFeature]) -> Vec<Vec<Shown>> {
     let mut sums: BTreeMap<u32, BTreeMap<i32, (Vector2<f64>, f64)>> = BTreeMap::new();
     for f in features {
@@ -40,7 +40,7 @@ fn shown_corners(features: &[BapFeature]) -> Vec<Vec<Shown>> {
     sums.into_values().map(|corners| corners.into_iter().map(shown).collect()).collect()
 }
 
-/// Column and row of the corner that has a number.
+/// Returns column and row of the corner with a number.
 fn place(corner: i32, board: &Board, numbering: CornerNumbering) -> Vector2<f64> {
     let by = |number: i32, length: i32| [number.rem_euclid(length), number.div_euclid(length)];
     let [column, row] = match numbering {
@@ -55,7 +55,8 @@ fn place(corner: i32, board: &Board, numbering: CornerNumbering) -> Vector2<f64>
     Vector2::new(f64::from(column), f64::from(row))
 }
 
-/// Root mean square distance of corners from the affine image of the board that fits each frame best, over that from their mean.
+/// Computes the root mean square distance of corners from the best affine image of the board in each frame, relative to
+/// their distance from the mean.
 fn misfit(frames: &[Vec<Shown>], place: impl Fn(i32) -> Vector2<f64>) -> f64 {
     let (mut left, mut all) = (0.0, 0.0);
     for corners in frames {
@@ -99,7 +100,7 @@ mod tests {
         synthesize(&small_camera(), &BOARD, &poses, &noise, 1).unwrap().features
     }
 
-    /// The features with other numbers of the corners; those that would lie beyond the board are left out.
+    /// Renumbers the corners and returns the error. Features of corners beyond the board are left out.
     fn numbered(number: impl Fn(i32) -> i32) -> String {
         let features: Vec<BapFeature> = features()
             .into_iter()
@@ -119,7 +120,7 @@ mod tests {
         assert!(numbered(|c| c - 1).contains("from -1"), "{}", numbered(|c| c - 1));
     }
 
-    /// No numbering fits better if there are few corners, or if their numbers have no order.
+    /// Other numberings do not fit better if corners are few, or if their numbers have no order.
     #[test]
     fn numbers_without_an_order_are_left_alone() {
         let few: Vec<BapFeature> = features().into_iter().filter(|f| f.corner < 4).collect();

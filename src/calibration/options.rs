@@ -14,7 +14,7 @@ use crate::quantity::Estimate;
 use crate::solver::{CostOptions, Loss, LossKind, Prior, SolverOptions, names};
 use crate::table::merge;
 
-/// A named set of options; options that are stated beside it take precedence.
+/// Named set of options. Options that are stated beside it take precedence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
@@ -25,7 +25,7 @@ pub enum Method {
     Paper,
 }
 
-/// What is estimated.
+/// Quantities to estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Mode {
@@ -38,77 +38,77 @@ pub enum Mode {
     PosesOnly,
 }
 
-/// What the board is taken for.
+/// Shape of the board.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum BoardModel {
-    /// Flat, unless the frames show that it is bent or stretched.
+    /// Flat board, unless the frames show that it is bent or stretched.
     #[default]
     Auto,
-    /// Flat (the paper).
+    /// Flat board (the paper).
     Flat,
-    /// Bent and stretched, with its shape estimated.
+    /// Bent and stretched board, whose shape is estimated.
     Bent,
-    /// Of this shape.
+    /// Board of this known shape.
     #[serde(skip)]
     #[value(skip)]
     Known(BoardShape),
 }
 
-/// The weights of observations.
+/// Weights of observations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Weights {
-    /// Each observation by its own standard deviation, where the file states one.
+    /// Weight of each observation by its own standard deviation, if the file states one.
     #[default]
     Own,
     /// Equal weights for all observations of a kind (the paper).
     Unit,
 }
 
-/// One micro-lens pitch or one for each axis.
+/// Number of micro-lens pitches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pitches {
-    /// One for both axes (the paper).
+    /// One pitch for both axes (the paper).
     #[default]
     One,
-    /// One along x, one along y.
+    /// One pitch along x and one along y.
     Two,
 }
 
-/// The curvature of the field.
+/// Curvature of the field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum FieldCurvature {
-    /// Estimated, and its growth with the magnification too.
+    /// Estimated, together with its growth with the magnification.
     #[default]
     Estimated,
-    /// Estimated, constant over distance.
+    /// Estimated, and constant over distance.
     Constant,
-    /// None (the paper).
+    /// Flat field (the paper).
     Flat,
 }
 
-/// Where the focal lengths of the micro-lenses come from.
+/// Source of the focal lengths of the micro-lenses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Blur {
-    /// From q' of the white images.
+    /// Values of q' from the white images.
     #[default]
     WhiteImages,
-    /// From rho of every feature (the paper).
+    /// Values of rho of every feature (the paper).
     Features,
 }
 
-/// Where the exit pupil of the main lens is, on its axis: `estimated`, `at-lens`, or `e_z` in mm.
+/// Position of the exit pupil on the axis of the main lens: `estimated`, `at-lens`, or `e_z` in mm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
 #[serde(try_from = "ExitPupilText")]
 pub enum ExitPupil {
-    /// Estimated.
+    /// Estimated position.
     #[default]
     Estimated,
-    /// At this `e_z`, mm; at 0 in the paper.
+    /// Fixed position `e_z`, mm; 0 in the paper.
     At(f64),
 }
 
@@ -151,10 +151,11 @@ impl FromStr for ExitPupil {
 /// Prior knowledge of a camera: default priors and stated ones.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Priors {
-    /// Whether there are the default priors, of datasheet, white images and sensor.
+    /// True if the default priors, of datasheet, white images and sensor, are used.
     #[serde(default = "wanted")]
     pub default: bool,
-    /// Stated priors by quantity: a parameter of camera or board, or `m`. They take the place of default ones.
+    /// Stated priors by quantity: a parameter of camera or board, `m`, a component of the tilt gradient, or a q'ᵢ. They
+    /// replace the default ones.
     #[serde(flatten)]
     pub quantities: BTreeMap<String, StatedPrior>,
 }
@@ -173,7 +174,7 @@ impl Default for Priors {
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(untagged, expecting = "a prior is { value = …, std_dev = … } or \"none\"")]
 pub enum StatedPrior {
-    /// A value, in the unit of the parameter in `camera.json` (mm, rad, px).
+    /// Value and σ, in the unit of the parameter in `camera.json` (mm, rad, px).
     Known(Estimate),
     /// No prior, not even the default one.
     Nothing(NoPrior),
@@ -202,7 +203,7 @@ impl Priors {
     /// Parses priors as they are written on the command line: `F=50:0.5` is 50 ± 0.5, `F=50:1%` has a relative σ, and
     /// `F=none` removes a default prior.
     ///
-    /// An error if a text is none of these, or if two name one quantity.
+    /// Returns an error if a text is none of these, or if two texts name one quantity.
     pub fn state_all(&mut self, texts: &[String]) -> Result<()> {
         let mut named = Vec::new();
         for text in texts {
@@ -221,7 +222,7 @@ impl Priors {
         Ok(())
     }
 
-    /// The stated values.
+    /// Returns the stated values.
     #[must_use]
     pub fn stated(&self) -> Vec<Prior> {
         let known = |(quantity, stated): (&String, &StatedPrior)| match *stated {
@@ -233,18 +234,18 @@ impl Priors {
         self.quantities.iter().filter_map(known).collect()
     }
 
-    /// Whether a value is stated for a quantity.
+    /// Returns true if a value is stated for a quantity.
     pub(super) fn knows(&self, quantity: &str) -> bool {
         matches!(self.quantities.get(quantity), Some(StatedPrior::Known(_)))
     }
 
-    /// Whether a quantity has its default prior.
+    /// Returns true if a quantity has its default prior.
     pub(super) fn is_default(&self, quantity: &str) -> bool {
         self.default && !self.quantities.contains_key(quantity)
     }
 }
 
-/// Quantity and prior of a text such as `F=50:1%`; `None` if it is not one.
+/// Parses quantity and prior of a text such as `F=50:1%`. Returns `None` if it is not one.
 fn parsed(text: &str) -> Option<(String, StatedPrior)> {
     let (quantity, known) = text.split_once('=')?;
     let prior = match known.trim() {
@@ -270,44 +271,44 @@ fn parsed(text: &str) -> Option<(String, StatedPrior)> {
 pub struct CalibrationOptions {
     /// Frames to leave out, e.g. 3,7 or 0-4,7.
     #[arg(long = "exclude", alias = "exclude-frames", value_name = "LIST", value_parser = frame_list)]
-    // Named in full, the type stands for one value of the flag.
+    // The full path of the type makes clap take the list as one value of the flag.
     pub exclude_frames: ::std::vec::Vec<u32>,
-    /// What to estimate [default: full].
+    /// Quantities to estimate [default: full].
     #[arg(long)]
     pub mode: Mode,
     /// One micro-lens pitch, or one along x and one along y [default: one].
     #[arg(long)]
     pub pitches: Pitches,
-    /// Where the exit pupil of the main lens is, on its axis: estimated; at-lens (the paper); or its distance from the
-    /// lens in mm, negative towards the array, to keep it there [default: estimated].
+    /// Position of the exit pupil on the axis of the main lens: estimated; at-lens (the paper); or fixed at a distance
+    /// from the lens in mm, negative towards the array [default: estimated].
     #[arg(long, value_name = "PLACE")]
     pub exit_pupil: ExitPupil,
-    /// How images of a plane are curved [default: estimated].
+    /// Curvature of the images of a plane [default: estimated].
     #[arg(long)]
     pub field_curvature: FieldCurvature,
-    /// What the board is taken for [default: auto].
+    /// Shape of the board [default: auto].
     #[arg(long)]
     pub board: BoardModel,
-    /// Parameters that keep their initial value, e.g. F,Q3: of F, Q1 to Q3, P1, P2, kappa, kappa_m, e_z, u0, v0, d,
-    /// theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect. (e_x and e_y are
-    /// 0 unless they have a prior, and dC_ratio is fixed unless --pitches two.)
+    /// Parameters that keep their initial value, e.g. F,Q3. The parameters are F, Q1 to Q3, P1, P2, kappa, kappa_m,
+    /// e_z, u0, v0, d, theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect.
+    /// (e_x and e_y are 0 unless they have a prior, and dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub fix: Vec<Parameter>,
     /// Prior knowledge: `[calibration.priors]`, --priors and --prior.
     #[arg(skip)]
     pub priors: Priors,
-    /// How much the priors weigh against observations, whose errors are not independent: a factor on their squared
-    /// residuals [default: measured, see calibration.json].
+    /// Weight of the priors against observations, whose errors are not independent: a factor on the squared residuals
+    /// of the priors [default: measured, see calibration.json].
     #[arg(long, alias = "anchor-weight", value_name = "W")]
     pub prior_weight: Option<f64>,
     /// Weights of observations [default: own].
     #[arg(long)]
     pub weights: Weights,
-    /// Where the focal lengths of the micro-lenses come from [default: white-images].
+    /// Source of the focal lengths of the micro-lenses [default: white-images].
     #[arg(long)]
     pub blur: Blur,
-    /// Standard deviation of u and v of a feature, px [default: 1]. Where the file states one for each feature, this
-    /// multiplies it; so do the next two.
+    /// Standard deviation of u and v of a feature, px [default: 1]. If the file states one for each feature, this value
+    /// multiplies it; so do the next two options.
     #[arg(long = "uv-std-dev", value_name = "PX")]
     pub uv_std_dev_px: f64,
     /// Standard deviation of rho, px [default: 1].
@@ -317,7 +318,7 @@ pub struct CalibrationOptions {
     #[arg(long = "centers-std-dev", value_name = "PX")]
     pub centers_std_dev_px: f64,
     /// Robust loss on the norm of every observation's residual [default: huber with a scale of 4 if every feature has a
-    /// standard deviation of its own, else none].
+    /// standard deviation of its own; otherwise none or, with outliers, huber].
     #[arg(long)]
     pub loss: Option<LossKind>,
     /// Residual beyond which the loss acts, in standard deviations [default: 1].
@@ -326,14 +327,14 @@ pub struct CalibrationOptions {
     /// Maximum number of iterations [default: 200].
     #[arg(long, value_name = "N")]
     pub max_iterations: usize,
-    /// Threads of the solver; results are the same to the last bit with any number [default: all cores].
+    /// Threads of the solver; any number gives the same results to the last bit [default: all cores].
     #[arg(long, value_name = "N")]
     pub threads: usize,
-    /// Whether to jump to the extrapolated limit of the steps when they converge slowly; if false, Ceres does all the
-    /// work.
+    /// True if the solver jumps to the extrapolated limit of its steps when they converge slowly; if false, Ceres does
+    /// all the work.
     #[arg(skip)]
     pub extrapolate: bool,
-    /// Poses of boards to begin with; those of other frames are found.
+    /// Initial poses of boards; the poses of other frames are found.
     #[arg(skip)]
     #[serde(skip)]
     pub poses: Vec<FramePose>,
@@ -367,7 +368,7 @@ impl Default for CalibrationOptions {
     }
 }
 
-/// The method of the paper, as `[calibration]` of a project file would state it.
+/// Method of the paper, as `[calibration]` of a project file would state it.
 const PAPER: &str = "
 exit_pupil = \"at-lens\"
 field_curvature = \"flat\"
@@ -379,8 +380,8 @@ priors.default = false
 ";
 
 impl CalibrationOptions {
-    /// The calibration of the paper: every observation has the same weight, no loss, no priors, the exit pupil in the
-    /// lens, a flat field, f from ρ, a flat board.
+    /// Returns the options for the calibration of the paper: every observation has the same weight, no loss, no priors,
+    /// the exit pupil in the lens, a flat field, f from ρ, a flat board.
     // The text is constant.
     #[allow(clippy::missing_panics_doc)]
     #[must_use]
@@ -390,7 +391,7 @@ impl CalibrationOptions {
 
     /// Reads `[calibration]` of a project file: the options of its `method`, overridden by those beside it.
     ///
-    /// An error that names the option if one is unknown or has an impossible value.
+    /// Returns an error that names the option if one is unknown or has an impossible value.
     pub(crate) fn from_table(mut stated: Table) -> Result<Self> {
         for (earlier, name) in [("anchors", "priors"), ("anchor_weight", "prior_weight")] {
             rename(&mut stated, earlier, name);
@@ -410,14 +411,14 @@ impl CalibrationOptions {
         serde_path_to_error::deserialize(options).map_err(|e| {
             let mut message = e.inner().message().to_owned();
             if message.starts_with("unknown field") {
-                // The method is no field, but may stand among them.
+                // The method is not a field, but may stand among the fields.
                 message = message.replacen("one of ", "one of `method`, ", 1);
             }
             Error::invalid(format!("{}: {message}", e.path()))
         })
     }
 
-    /// An error that names a number that no calibration can have.
+    /// Returns an error that names an impossible number.
     pub(crate) fn check_numbers(&self) -> Result<()> {
         for (std_dev, name) in [
             (self.uv_std_dev_px, "(u, v) (uv_std_dev_px)"),
@@ -443,7 +444,7 @@ impl CalibrationOptions {
         Ok(())
     }
 
-    /// The cost without default priors.
+    /// Returns the cost without default priors.
     pub(super) fn cost(&self) -> CostOptions {
         CostOptions {
             uv_std_dev_px: self.uv_std_dev_px,
@@ -460,20 +461,20 @@ impl CalibrationOptions {
         }
     }
 
-    /// Whether the ρ of features is in the cost.
+    /// Returns true if the ρ of features is in the cost.
     #[must_use]
     pub fn has_rho(&self) -> bool {
         self.blur == Blur::Features
     }
 
-    /// The parameters of camera and board that keep their value.
+    /// Returns the parameters of camera and board that keep their value.
     pub(super) fn fixed(&self) -> Vec<Parameter> {
         let implied = [
             (Parameter::PitchRatio, self.pitches == Pitches::One),
             (Parameter::PupilZ, matches!(self.exit_pupil, ExitPupil::At(_))),
             (Parameter::FieldCurvature, self.field_curvature == FieldCurvature::Flat),
             (Parameter::FieldCurvatureGrowth, self.field_curvature != FieldCurvature::Estimated),
-            // Images alone hardly determine them: they are free only if they have a prior.
+            // Images alone hardly determine these, so they are free only if they have a prior.
             (Parameter::PupilX, !self.priors.knows("e_x")),
             (Parameter::PupilY, !self.priors.knows("e_y")),
         ];
@@ -481,7 +482,7 @@ impl CalibrationOptions {
         implied.map(|(parameter, _)| parameter).chain(self.fix.iter().copied()).collect()
     }
 
-    /// e_z where it is stated, mm.
+    /// Returns e_z if it is stated, mm.
     pub(super) fn exit_pupil_mm(&self) -> Option<f64> {
         match self.exit_pupil {
             ExitPupil::At(place) => Some(place),
@@ -489,7 +490,7 @@ impl CalibrationOptions {
         }
     }
 
-    /// The minimisation.
+    /// Returns the options of the solver.
     pub(super) fn solver(&self) -> SolverOptions {
         SolverOptions {
             max_iterations: self.max_iterations,
@@ -499,7 +500,8 @@ impl CalibrationOptions {
         }
     }
 
-    /// These options for a calibration from corners only: without those that concern the focal lengths of micro-lenses.
+    /// Returns these options for a calibration from corners only, without the options for the focal lengths of
+    /// micro-lenses.
     #[must_use]
     pub fn of_corners_only(&self) -> Self {
         let mut options = Self { mode: Mode::CornersOnly, ..self.clone() };
@@ -510,8 +512,8 @@ impl CalibrationOptions {
         options
     }
 
-    /// These options for poses of a board of this shape alone: without what they say of camera and board, which are
-    /// then fixed.
+    /// Returns these options for the poses alone, with a board of this shape. Options of camera and board are left out,
+    /// since both are then fixed.
     #[must_use]
     pub fn of_poses_only(&self, shape: BoardShape) -> Self {
         Self {
@@ -524,8 +526,8 @@ impl CalibrationOptions {
         }
     }
 
-    /// These options with what a calibration has found of whether the board is flat, where they leave that open: bent in those
-    /// parameters of its shape that have a σ, or flat.
+    /// Returns these options with the decision of a calibration whether the board is flat, if they leave it open. The
+    /// board is then bent in the parameters of its shape that have a σ, or flat.
     #[must_use]
     pub fn with_decision(&self, shape_std_devs: [Option<f64>; SHAPE]) -> Self {
         let mut decided = self.clone();
@@ -543,7 +545,7 @@ impl CalibrationOptions {
         decided
     }
 
-    /// The shape of the board to begin with, or to keep.
+    /// Returns the initial or fixed shape of the board.
     pub(super) fn known_shape(&self) -> BoardShape {
         match self.board {
             BoardModel::Known(shape) => shape,
@@ -551,13 +553,13 @@ impl CalibrationOptions {
         }
     }
 
-    /// Whether the board keeps a parameter of its shape.
+    /// Returns true if the board keeps a parameter of its shape.
     pub(super) fn keeps(&self, quantity: &str) -> bool {
         let known = matches!(self.board, BoardModel::Flat | BoardModel::Known(_));
         known && Parameter::SHAPE.iter().any(|parameter| parameter.name() == quantity)
     }
 
-    /// An error that names an impossible option, or one that does not fit this start.
+    /// Returns an error that names an impossible option, or one that does not fit this start.
     pub(super) fn validate(&self, start: &Start) -> Result<()> {
         if self.mode == Mode::PosesOnly && matches!(start, Start::Datasheet(..)) {
             return Err(Error::NotCalibrated);
@@ -607,7 +609,7 @@ impl CalibrationOptions {
     }
 }
 
-/// Frames as on the command line: numbers and ranges of them, separated by commas.
+/// Parses frames from the command line: numbers and ranges of them, separated by commas.
 pub fn frame_list(text: &str) -> std::result::Result<Vec<u32>, String> {
     const MOST: u32 = 100_000;
     let wrong =
@@ -625,10 +627,10 @@ pub fn frame_list(text: &str) -> std::result::Result<Vec<u32>, String> {
     Ok(frames)
 }
 
-/// Positions that are less uncertain are measured by nobody, and weights of squares of less overflow.
+/// Smallest standard deviation of a position, px. Nobody measures better, and squared weights would overflow.
 const LEAST_STD_DEV_PX: f64 = 1e-6;
 
-/// Gives the value of a key a new key.
+/// Renames a key of a table.
 fn rename(table: &mut Table, earlier: &str, name: &str) {
     if let Some(value) = table.remove(earlier) {
         table.entry(name).or_insert(value);

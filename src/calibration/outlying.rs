@@ -1,4 +1,4 @@
-//! Features far from where the camera projects them, and the loss that withstands them where features state no σ.
+//! Outliers among the features, and the loss that withstands them if features state no σ.
 
 use crate::calibration::Calibration;
 use crate::finding::{Finding, Issue};
@@ -6,32 +6,32 @@ use crate::model::FeatureResidual;
 use crate::numerics::median;
 use crate::solver::{CostOptions, Loss, LossKind};
 
-/// The norm of two independent standard normal numbers has this median.
+/// Median of the norm of two independent standard normal numbers.
 const MEDIAN_NORM: f64 = 1.1774;
-/// Features outlie if their residual is so many times the typical σ: noise gets to 5, and the corners
-/// of a real detector, good and bad ones together, to 8.
+/// Residual of an outlier, in typical σ. Noise reaches 5; the corners of a real detector, good and bad ones together,
+/// reach 8.
 const OUTLYING: f64 = 10.0;
-/// Where the automatic loss sets in, in σ of a feature: noise alone gets there once in 3000 times.
+/// Scale of the automatic loss, in σ of a feature: noise alone exceeds it once in 3000 times.
 pub(super) const LOSS_SCALE: f64 = 4.0;
 
-/// A feature far from where the camera projects it.
+/// Feature far from where the camera projects it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OutlyingFeature {
-    /// Its residual.
+    /// Residual of the feature.
     pub residual: FeatureResidual,
-    /// |(du, dv)|, px.
+    /// Distance |(du, dv)|, px.
     pub distance_px: f64,
-    /// The same in units of its σ, as the residuals of all features measure it.
+    /// Distance in units of its σ, which follows from the residuals of all features.
     pub std_devs: f64,
 }
 
-/// What the residuals of features are in units of their σ; `None` without features.
+/// Returns the typical residual of features in units of their σ; `None` without features.
 fn typical(residuals: &[FeatureResidual], norm: impl Fn(&FeatureResidual) -> f64) -> Option<f64> {
     median(residuals.iter().map(norm)).map(|norm| norm / MEDIAN_NORM)
 }
 
 impl Calibration {
-    /// Features far from where the camera projects them, the farthest first.
+    /// Returns the features far from where the camera projects them, the farthest first.
     #[must_use]
     pub fn outlying_features(&self) -> Vec<OutlyingFeature> {
         outlying(&self.reprojection.features)
@@ -50,8 +50,8 @@ fn outlying(residuals: &[FeatureResidual]) -> Vec<OutlyingFeature> {
     found
 }
 
-/// The loss for features that state no σ, if some of them outlie: its scale is that of the residuals of a cost
-/// without one. With a finding.
+/// Returns the loss for features that state no σ, and a finding, if some of the features are outliers. The scale of the
+/// loss follows from the residuals of a cost without a loss.
 pub(super) fn loss_by_residuals(
     residuals: &[FeatureResidual],
     cost: &CostOptions,

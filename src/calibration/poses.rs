@@ -12,16 +12,15 @@ use opencv::prelude::*;
 use crate::finding::Issue;
 use crate::model::{BapFeature, Board, MIN_CORNERS, PlenopticCamera};
 
-/// Corners count as collinear if their spread across the best line is below this fraction of the
-/// spread along it.
+/// Ratio of the spread of corners across the best line to the spread along it below which they are collinear.
 const COLLINEAR: f64 = 1e-3;
 
-/// Poses `camera_from_board` that explain the features of a frame, the best first.
+/// Returns the poses `camera_from_board` that explain the features of a frame, the best first.
 ///
-/// The mean of all observations of a corner is nearly its projection by a pinhole camera of focal
-/// length (D + d)/s about (u₀, v₀). Such a projection of a planar target allows two poses, mirrored
-/// in tilt, and in a narrow field of view both fit nearly equally well; those in front of the camera
-/// are returned. The error is the reason why there is none.
+/// The mean of all observations of a corner is nearly its projection by a pinhole camera of focal length (D + d)/s
+/// about (u₀, v₀). Such a projection of a planar target allows two poses, mirrored in tilt. In a narrow field of view
+/// both fit nearly equally well. Poses with a corner within the focal length are left out. The error is the reason why
+/// there is no pose.
 pub fn initial_poses(
     camera: &PlenopticCamera,
     board: &Board,
@@ -38,7 +37,7 @@ pub fn initial_poses(
     Ok(candidates)
 }
 
-/// The same, wherever they put the board.
+/// Returns the poses like [`initial_poses`], wherever they put the board.
 pub(super) fn poses_of_board(
     camera: &PlenopticCamera,
     board: &Board,
@@ -74,7 +73,7 @@ fn collinear(points: &[Point3<f64>]) -> bool {
     spread[1].max(0.0).sqrt() <= COLLINEAR * spread[2].max(0.0).sqrt()
 }
 
-/// Poses of a planar target with their reprojection errors, px.
+/// Returns poses of a planar target with their reprojection errors, px.
 fn solve_pnp(
     camera: &PlenopticCamera,
     points: &[Point3<f64>],

@@ -1,4 +1,4 @@
-//! The start of a calibration: what is known before poses are, and the poses.
+//! Preparation of a calibration: everything that is known before the poses, and the poses.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +17,7 @@ use crate::model::{BentBoard, Board, FramePose, Observations, PlenopticCamera};
 use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
 use crate::solver::CostOptions;
 
-/// Where a cost is to be evaluated.
+/// Solution at which a cost is evaluated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
     /// The camera.
@@ -26,7 +26,7 @@ pub struct Solution {
     pub poses: Vec<FramePose>,
 }
 
-/// A calibration before any pose is known.
+/// Calibration before any pose is known.
 pub(super) struct Prepared {
     pub start: Start,
     pub initial: PlenopticCamera,
@@ -39,7 +39,7 @@ pub(super) struct Prepared {
     pub cost: Option<CostOptions>,
 }
 
-/// The start of a calibration by everything that is known without poses; errors if the input is inconsistent.
+/// Prepares a calibration by everything that is known without poses. Returns an error if the input is inconsistent.
 pub(super) fn prepared(
     start: &Start,
     board: &Board,
@@ -70,7 +70,7 @@ pub(super) fn prepared(
 }
 
 impl Prepared {
-    /// Takes observations and cost from an exported problem. An error if its numbers are impossible.
+    /// Takes observations and cost from an exported problem. Returns an error if its numbers are impossible.
     pub fn of_problem(problem: &SolvedProblem, options: &CalibrationOptions) -> Result<Self> {
         let start = Start::Camera(problem.camera.clone());
         start.validate()?;
@@ -91,8 +91,8 @@ impl Prepared {
         })
     }
 
-    /// Where camera and boards are to begin with, or where they are to be evaluated. An error with the reasons if no frame has
-    /// a pose.
+    /// Returns the camera and the frames at the start, or at the given solution. Returns an error with the reasons if
+    /// no frame has a pose.
     pub fn placed(
         &self,
         board: &BentBoard,
@@ -116,7 +116,7 @@ impl Prepared {
     }
 }
 
-/// The camera that a calibration of these observations starts from.
+/// Returns the camera from which a calibration of these observations starts.
 pub fn initial_from(
     start: &Start,
     board: &Board,
@@ -133,8 +133,8 @@ pub fn initial_from(
     }
 }
 
-/// The camera to start from; an error unless it, the grid of the centres, if there are any, and the observations belong
-/// to one camera.
+/// Returns the camera from which the calibration starts. Returns an error unless it, the grid of the centres, if any,
+/// and the observations belong to one camera.
 fn checked_start(
     start: &Start,
     grid: Option<&MicroImageArray>,
@@ -185,7 +185,7 @@ fn start_camera(
     Ok(camera)
 }
 
-/// An error unless a solution is of a camera with this array.
+/// Returns an error unless a solution has a camera with this array.
 fn check_same_array(solution: &PlenopticCamera, camera: &PlenopticCamera) -> Result<()> {
     let is_same = solution.lattice.packing == camera.lattice.packing
         && solution.lens_types() == camera.lens_types();
@@ -202,7 +202,7 @@ fn check_same_array(solution: &PlenopticCamera, camera: &PlenopticCamera) -> Res
     )))
 }
 
-/// Why no frame could be used.
+/// Explains why no frame could be used.
 fn no_frame(left_out: &[LeftOut]) -> String {
     if left_out.iter().all(|frame| frame.reason == Issue::PoseBehindFocalPlane) {
         return "no frame could be used: all boards would have to be nearer to the main lens than its focal length. Check \

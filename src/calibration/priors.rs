@@ -1,11 +1,10 @@
-//! Priors: what is known of a camera before any board is seen, as residuals in the cost.
+//! Priors: knowledge of a camera before any board is seen, as residuals in the cost.
 //!
-//! Every prior has a value and a σ, and one residual (quantity − value)/σ. Observations of a frame
-//! share errors, so their residuals claim to know more than they do. The weight of the priors makes
-//! up for that: w is by how much the variance that observations leave to quantities with a prior is
-//! larger than claimed ([`Uncertainty::dispersion`](crate::solver::Uncertainty)). This is the
-//! magnitude adjustment of a composite likelihood (Pauli, Racugno, Ventura 2011), on the other side
-//! of the balance.
+//! Every prior has a value, a σ, and one residual (quantity − value)/σ. Observations of a frame share errors, so their
+//! residuals claim more knowledge than they contain. The weight w of the priors compensates for this: it is the factor
+//! by which the variance that observations leave to quantities with a prior exceeds the claimed variance
+//! ([`Uncertainty::dispersion`](crate::solver::Uncertainty)). This is the magnitude adjustment of a composite
+//! likelihood (Pauli, Racugno, Ventura 2011), on the other side of the balance.
 
 use std::fmt;
 
@@ -19,53 +18,53 @@ use crate::solver::{Prior, Problem};
 
 /// Name of |m| among the quantities of priors.
 pub const SLOPE: &str = "m";
-/// Names of the tilt gradient of the array along u and v among them.
+/// Names of the tilt gradient of the array along u and v among the quantities of priors.
 pub const TILT_GRADIENT: [&str; 2] = ["tilt_u", "tilt_v"];
-/// Engraved focal lengths are rounded: a "50 mm" lens is often one of 51.6 mm.
+/// Relative σ of an engraved focal length, which is rounded: a "50 mm" lens often has 51.6 mm.
 const ENGRAVED: f64 = 0.03;
-/// What q'ᵢ are worth if nothing is said of them.
+/// Relative σ of q'ᵢ if none is stated.
 pub(super) const INTERCEPTS: f64 = 0.005;
-/// What f-numbers are worth, and with them m.
+/// Relative σ of f-numbers, and therefore of m.
 const F_NUMBERS: f64 = 0.02;
-/// How far from the middle of the sensor a mount may put the axis, mm.
+/// σ of the distance of the axis from the middle of the sensor due to the mount, mm.
 const MOUNT_MM: f64 = 0.5;
 
-/// Where the value of a prior comes from.
+/// Source of the value of a prior.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PriorSource {
-    /// The focal length in the datasheet.
+    /// Focal length in the datasheet.
     Datasheet,
     /// m and q'ᵢ of the white images.
     WhiteImages,
-    /// The camera that the calibration starts from.
+    /// Camera from which the calibration starts.
     Start,
-    /// The middle of the sensor.
+    /// Middle of the sensor.
     SensorMiddle,
-    /// That boards are made to be flat.
+    /// Flatness of boards as they are made.
     FlatBoard,
-    /// The user.
+    /// Statement of the user.
     Stated,
 }
 
-/// A prior, and what became of it.
+/// Prior, and its value in the refined camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PriorResult {
     /// The prior.
     pub prior: Prior,
-    /// Where its value comes from.
+    /// Source of its value.
     pub source: PriorSource,
-    /// The value in the refined camera, in the unit of the quantity.
+    /// Value in the refined camera, in the unit of the quantity.
     pub result: f64,
 }
 
 impl PriorResult {
-    /// The residual of the prior over its σ: (result − value)/σ.
+    /// Returns the residual of the prior over its σ: (result − value)/σ.
     #[must_use]
     pub fn normalised_residual(&self) -> f64 {
         (self.result - self.prior.value) / self.prior.std_dev
     }
 
-    /// Unit of the quantity.
+    /// Returns the unit of the quantity.
     #[must_use]
     pub fn unit(&self) -> &'static str {
         unit(&self.prior.quantity)
@@ -85,7 +84,7 @@ impl fmt::Display for PriorSource {
     }
 }
 
-/// Name of q'ᵢ among the quantities of priors: `q'_1` for the first lens type, from 0.
+/// Returns the name of q'ᵢ among the quantities of priors. The first lens type has the index 0 and the name `q'_1`.
 #[must_use]
 pub fn intercept_name(lens_type: usize) -> String {
     format!("q'_{}", lens_type + 1)
@@ -98,8 +97,8 @@ fn unit(quantity: &str) -> &'static str {
     quantity.parse().map_or("mm", Parameter::unit)
 }
 
-/// The priors of a calibration: those stated, and of the default ones those that no other replaces,
-/// that are wanted, and whose quantity is free.
+/// Returns the priors of a calibration: the stated ones, and the default ones that are wanted, that no other replaces,
+/// and whose quantity is free.
 pub(super) fn priors(start: &Start, options: &CalibrationOptions) -> Vec<(Prior, PriorSource)> {
     if options.mode == Mode::PosesOnly {
         return Vec::new();
@@ -117,8 +116,8 @@ pub(super) fn priors(start: &Start, options: &CalibrationOptions) -> Vec<(Prior,
     stated.chain(defaults.into_iter().filter(|(prior, _)| wanted(prior))).collect()
 }
 
-/// What white images measure: q'ᵢ, or those of the camera that is started from, and the tilt gradient of the array. They are
-/// observations that all features share: without ρ, and without q'ᵢ, nothing is said of the fᵢ.
+/// Returns the priors that white images measure: q'ᵢ, or the q'ᵢ of the starting camera, and the tilt gradient of the
+/// array. They are observations that all features share: without ρ and without q'ᵢ nothing determines fᵢ.
 fn of_white_images(start: &Start) -> Vec<(Prior, PriorSource)> {
     let (internal, source) = match start {
         Start::Datasheet(_, internal) => (internal.clone(), PriorSource::WhiteImages),
@@ -162,7 +161,7 @@ fn default_priors(start: &Start) -> Vec<(Prior, PriorSource)> {
     priors
 }
 
-/// Whether a quantity depends on a parameter that is not fixed.
+/// Returns true if a quantity depends on a parameter that is not fixed.
 fn is_free(quantity: &str, fixed: &[Parameter]) -> bool {
     use Parameter as P;
     let any_is_free = |parameters: &[P]| parameters.iter().any(|p| !fixed.contains(p));
@@ -178,7 +177,7 @@ fn is_free(quantity: &str, fixed: &[Parameter]) -> bool {
     quantity.parse().is_ok_and(|parameter: P| any_is_free(&[parameter]))
 }
 
-/// An error that names a prior that is not possible.
+/// Returns an error that names an impossible prior.
 pub(super) fn check_priors(options: &CalibrationOptions, lens_types: usize) -> Result<()> {
     let known = Parameter::shared(lens_types);
     let names = || -> Vec<String> {
@@ -223,7 +222,7 @@ pub(super) fn check_priors(options: &CalibrationOptions, lens_types: usize) -> R
     Ok(())
 }
 
-/// A finding for each prior that the observations contradict.
+/// Returns a finding for each prior that the observations contradict.
 pub(super) fn contradicted(results: &[PriorResult]) -> impl Iterator<Item = Finding> {
     results.iter().filter_map(|r| {
         let Prior { quantity, value, std_dev } = &r.prior;
@@ -232,10 +231,10 @@ pub(super) fn contradicted(results: &[PriorResult]) -> impl Iterator<Item = Find
     })
 }
 
-/// A stated prior that is further from the start than this part of the value there may be a mistake.
+/// Relative distance from the start beyond which a stated prior may be a mistake.
 const FAR_PART: f64 = 0.5;
 
-/// An error of a refinement, with the stated prior that is furthest from where it started, if one is far.
+/// Adds to an error of a refinement the stated prior that is furthest from its start, if one is far.
 pub(super) fn with_far_prior(
     error: Error,
     priors: &[(Prior, PriorSource)],
@@ -261,7 +260,7 @@ pub(super) fn with_far_prior(
     ))
 }
 
-/// What became of the priors in the refined camera and board.
+/// Evaluates the priors in the refined camera and board.
 pub(super) fn results(
     priors: Vec<(Prior, PriorSource)>,
     camera: &PlenopticCamera,

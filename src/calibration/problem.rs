@@ -1,4 +1,4 @@
-//! The problem that a calibration has solved, for other programs to solve it too.
+//! Problem that a calibration has solved, for other programs to solve it too.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,43 +16,43 @@ use crate::model::{
 use crate::quantity::{Estimate, significant};
 use crate::solver::{CostOptions, LossKind, Prior};
 
-/// Numbers of two costs are the same if they differ by less than this part: they may have been written with fewer digits.
+/// Relative difference below which numbers of two costs are the same: they may have been written with fewer digits.
 const SAME: f64 = 1e-6;
 
-/// A least-squares problem, complete: what [`calibrate`](crate::calibration::calibrate) has minimised.
+/// Complete least-squares problem that [`calibrate`](crate::calibration::calibrate) has minimised.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolvedProblem {
-    /// Where the camera starts.
+    /// Initial camera.
     pub camera: PlenopticCamera,
-    /// Where the poses of the boards start. A board that turned out to be tilted the other way starts where it ended:
-    /// from its first pose no solver finds back.
+    /// Initial poses of the boards. A board that turned out to be tilted the other way has its final pose: from its
+    /// first pose no solver finds back.
     pub poses: Vec<FramePose>,
-    /// The board, with the shape that it starts from or keeps.
+    /// Board, with its initial or fixed shape.
     pub board: BentBoard,
-    /// What the boards show.
+    /// Features of the boards.
     pub features: Vec<ProblemFeature>,
-    /// The micro-image centres, with the σ that they count with.
+    /// Micro-image centres, with their σ in the cost.
     pub centers: Vec<MicroImageCenter>,
-    /// The cost, with all priors and their weight. Its factors on σ are 1.
+    /// Cost, with all priors and their weight. Its factors on σ are 1.
     pub cost: CostOptions,
-    /// The cost where the calibration ended.
+    /// Value of the cost where the calibration ended.
     pub minimum: f64,
 }
 
 /// A feature of a problem.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProblemFeature {
-    /// What was observed.
+    /// Observed feature.
     pub feature: BapFeature,
-    /// Its corner on the flat board, mm.
+    /// Position of its corner on the flat board, mm.
     pub board_point_mm: Point3<f64>,
-    /// σ of u, v and ρ as they count: with the factors of the options, and that of ρ times √n for the n features of a
-    /// corner, which have one blur in common.
+    /// σ of u, v and ρ in the cost, with the factors of the options. σ of ρ is multiplied by √n for the n features of a
+    /// corner, which share one blur.
     pub std_dev_px: [f64; 3],
 }
 
 impl SolvedProblem {
-    /// Of a calibration that was made with this board.
+    /// Creates the problem of a calibration that was made with this board.
     #[must_use]
     pub fn of(calibration: &Calibration, board: &Board) -> Self {
         let Calibration { cost, options, refinement, reprojection, .. } = calibration;
@@ -89,7 +89,7 @@ impl SolvedProblem {
         }
     }
 
-    /// The observations, with σ as they count.
+    /// Returns the observations, with their σ in the cost.
     #[must_use]
     pub fn observations(&self) -> Observations {
         let mut of_corner: BTreeMap<(u32, i32), f64> = BTreeMap::new();
@@ -99,7 +99,7 @@ impl SolvedProblem {
         let feature = |of: &ProblemFeature| {
             let ([u, v, rho], feature) = (of.std_dev_px, of.feature);
             let count = of_corner[&(feature.frame, feature.corner)];
-            // √n comes back where features are given to the solver.
+            // The conversion for the solver multiplies by √n again.
             let rho_std_dev_px = Some(rho / count.sqrt());
             BapFeature { std_dev_px: Some([u, v]), rho_std_dev_px, ..feature }
         };
@@ -109,7 +109,7 @@ impl SolvedProblem {
         }
     }
 
-    /// The options of a calibration with this cost, for a board of this shape where it is held.
+    /// Returns the options of a calibration with this cost. `shape` is the shape of the board if it is held.
     #[must_use]
     pub fn options(&self, shape: BoardShape) -> CalibrationOptions {
         let CostOptions { rho, loss, priors, prior_weight, .. } = &self.cost;
@@ -139,13 +139,13 @@ impl SolvedProblem {
         }
     }
 
-    /// Whether a parameter of camera or board keeps its value.
+    /// Returns true if a parameter of camera or board keeps its value.
     #[must_use]
     pub fn holds(&self, parameter: Parameter) -> bool {
         self.cost.fixed.iter().any(|name| name == parameter.name())
     }
 
-    /// The terms in which the cost of an evaluation differs from this one.
+    /// Returns the terms in which the cost of an evaluation differs from this one.
     #[must_use]
     pub fn differences(&self, here: &Self) -> Vec<CostDifference> {
         let differing = |option: &'static str, words: &dyn Fn(&Self) -> String| {
@@ -186,7 +186,7 @@ impl SolvedProblem {
         format!("a board of {columns} x {rows} corners with squares of {square_mm} mm ({shape})")
     }
 
-    /// Parameters that are held by one cost and free in the other.
+    /// Returns the parameters that one cost holds and the other leaves free.
     fn held_differently(&self, here: &Self) -> Vec<CostDifference> {
         let lens_types = self.camera.lens_types();
         let all = Parameter::shared(lens_types);

@@ -1,4 +1,4 @@
-//! The refinement (paper, section 5.3), repeated for boards that turn out to be mirrored.
+//! Refinement (paper, section 5.3), repeated for boards that turn out to be mirrored.
 
 use nalgebra::Isometry3;
 use tracing::{debug, info};
@@ -13,34 +13,33 @@ use crate::solver::{
     SystematicError, Termination, Uncertainty,
 };
 
-/// Limit of repetitions: correcting one mirrored board may reveal others.
+/// Limit of repetitions: the correction of one mirrored board may reveal others.
 const MAX_RECONSIDERATIONS: usize = 4;
 
-/// The weight of the priors is measured at a rough minimum, after so many iterations (of which the first ones, where the
-/// trust region is too large, take little time and lead nowhere), and again if it
-/// differs from the weight used there by more than this factor. With as few frames as there are, it is
-/// known to some ten per cent at best.
+/// Iterations of a rough minimum, at which the weight of the priors is measured. The first of these, where the trust
+/// region is too large, take little time and lead nowhere. The weight is measured again if it differs by more than the
+/// factor `ALIKE` from the weight used there. With few frames it is known to some ten per cent at best.
 const ROUGH_ITERATIONS: usize = 12;
 const ALIKE: f64 = 2.0;
-/// Limit of refinements, the first half of them rough.
+/// Limit of refinements; the first half of them is rough.
 const MAX_ATTEMPTS: usize = 6;
-/// The weight to begin with: that of real observations.
+/// Initial weight of the priors, typical of real observations.
 const FIRST_WEIGHT: f64 = 10.0;
 /// Weight of the priors where residuals vanish, as in simulations without noise.
 const LEAST_WEIGHT: f64 = 1e-6;
 
-/// What a refinement needs besides the problem.
+/// Input of a refinement besides the problem.
 pub(super) struct Settings<'a> {
     pub frames: &'a Frames,
     pub options: &'a CalibrationOptions,
-    /// The systematic errors of observations and priors.
+    /// Systematic errors of observations and priors.
     pub systematic: Vec<SystematicError>,
-    /// The weight of the priors of the refinement that has ended where this one begins; `None` far from a minimum.
+    /// Weight of the priors in a refinement that ended where this one begins; `None` far from a minimum.
     pub known_weight: Option<f64>,
 }
 
-/// The refinement, its uncertainty, and the cost that it ended with: with the weight of the priors, and
-/// without the loss if it was stopped before the loss took part.
+/// Refinement, its uncertainty, and its final cost: with the weight of the priors, and without the loss if it was
+/// stopped before the loss took part.
 pub(super) struct Refined {
     pub refinement: Refinement,
     pub uncertainty: Uncertainty,
@@ -48,7 +47,7 @@ pub(super) struct Refined {
 }
 
 impl Settings<'_> {
-    /// Refines; with priors, after it has found their weight.
+    /// Refines. If there are priors, first finds their weight.
     pub fn refine(
         &self,
         problem: &Problem,
@@ -68,8 +67,8 @@ impl Settings<'_> {
         if !cost.priors.is_empty() {
             cost.prior_weight = stated.or(self.known_weight).unwrap_or(FIRST_WEIGHT);
         }
-        // Far from the minimum nearly all residuals are in the flat part of a loss: without one the way
-        // takes a fifth of the steps.
+        // Far from the minimum nearly all residuals are in the flat part of a loss. Without a loss the solver takes a
+        // fifth of the steps.
         let plain = |cost: &CostOptions| CostOptions {
             loss: Loss { kind: LossKind::None, ..cost.loss },
             ..cost.clone()
@@ -106,7 +105,7 @@ impl Settings<'_> {
         }
     }
 
-    /// The cost where a problem is, without a step.
+    /// Evaluates the cost at a problem, without a step.
     pub fn evaluate(&self, problem: &Problem, mut cost: CostOptions) -> Result<Refined> {
         let solver =
             SolverOptions { max_iterations: 0, extrapolate: false, ..self.options.solver() };
@@ -131,7 +130,7 @@ impl Settings<'_> {
         solver::uncertainty(at, cost, &self.systematic, self.options.threads)
     }
 
-    /// Iterations that the options still allow.
+    /// Returns the number of iterations that the options still allow.
     fn left(&self, so_far: Option<&Refinement>) -> usize {
         let done = so_far.map_or(0, |refinement| refinement.iterations.len().saturating_sub(1));
         self.options.max_iterations.saturating_sub(done)
@@ -145,7 +144,7 @@ fn followed(so_far: Option<Refinement>, next: Refinement) -> Refinement {
     }
 }
 
-/// A problem at the end of a refinement, if there is one.
+/// Returns the problem at the end of a refinement, if there is one.
 pub(super) fn at_end<'a>(problem: &Problem<'a>, refinement: Option<&'a Refinement>) -> Problem<'a> {
     refinement.map_or(*problem, |r| Problem {
         camera: &r.camera,
@@ -155,8 +154,7 @@ pub(super) fn at_end<'a>(problem: &Problem<'a>, refinement: Option<&'a Refinemen
     })
 }
 
-/// Refines, and, unless it is a rough refinement, repeats if the tilt of a board turns out to have the
-/// other sign.
+/// Refines. Unless the refinement is rough, repeats it if the tilt of a board turns out to have the other sign.
 fn refine(
     problem: &Problem,
     settings: &Settings,

@@ -1,7 +1,7 @@
-//! A calibration refined again from its minimum, without some parameters or without some frames.
+//! Refinement of a calibration from its minimum, without some parameters or without some frames.
 //!
 //! All the rest stays: the observations, their weights, the loss, the priors and their weight. So costs can be
-//! compared, and the way to the new minimum is short.
+//! compared, and the new minimum is near.
 
 use nalgebra::Isometry3;
 
@@ -20,29 +20,29 @@ use crate::solver::{
     SolverOptions, Termination,
 };
 
-/// Where a parameter is taken away, the residuals are large at first. A few steps without loss lead back to
-/// where it can act.
+/// Iterations without loss after a parameter is removed. The residuals are large at first, and a few steps lead back to
+/// where the loss can act.
 const ROUGH_ITERATIONS: usize = 4;
-/// Errors of frames that take no part are compared to a per cent: the cost need not be found closer than to this part, with
-/// parameters to a twentieth of their standard deviations.
+/// Relative tolerance of the cost for held-out frames. Their errors are compared to a per cent, and this tolerance
+/// gives parameters to a twentieth of their standard deviations.
 const HELD_OUT_TOLERANCE: f64 = 1e-8;
 
-/// A minimum of the cost.
+/// Minimum of the cost.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Minimum {
-    /// The camera.
+    /// Camera at the minimum.
     pub camera: PlenopticCamera,
-    /// The shape of the board.
+    /// Shape of the board.
     pub shape: BoardShape,
-    /// The poses of the boards.
+    /// Poses of the boards.
     pub poses: Vec<FramePose>,
-    /// What features, centres and priors contribute to the cost.
+    /// Contributions of features, centres and priors to the cost.
     pub cost_parts: [f64; 3],
-    /// Whether the solver reached it, by its tolerances.
+    /// True if the solver reached it, by its tolerances.
     pub converged: bool,
 }
 
-/// A calibration with what is needed to refine it again.
+/// Calibration with the data to refine it again.
 #[derive(Debug)]
 pub struct Refit<'a> {
     calibration: &'a Calibration,
@@ -53,7 +53,7 @@ pub struct Refit<'a> {
 }
 
 impl<'a> Refit<'a> {
-    /// Of a calibration that was made with this board.
+    /// Creates a refit of a calibration that was made with this board.
     #[must_use]
     pub fn new(calibration: &'a Calibration, board: &'a Board) -> Self {
         let reprojection = &calibration.reprojection;
@@ -68,14 +68,14 @@ impl<'a> Refit<'a> {
         }
     }
 
-    /// The minimum that the calibration has found.
+    /// Returns the minimum of the calibration.
     #[must_use]
     pub fn minimum(&self) -> Minimum {
         let Calibration { refinement, poses, converged, .. } = self.calibration;
         self.minimum_of(refinement, &self.calibration.cost, poses.clone(), *converged)
     }
 
-    /// The minimum with some parameters held at 0.
+    /// Finds the minimum with some parameters held at 0.
     pub fn without(&self, parameters: &[Parameter]) -> Result<Minimum> {
         let mut start = self.minimum();
         for &parameter in parameters {
@@ -95,9 +95,9 @@ impl<'a> Refit<'a> {
         self.refined(&start, &cost, &self.solver())
     }
 
-    /// The errors of frames that take no part: the camera is refined from a minimum without them, and then
-    /// their poses with this camera. By frame, the mean over its features of |r/σ|², with the weights and the
-    /// loss of the calibration. The parameters keep their value in the minimum.
+    /// Computes the errors of held-out frames. Refines the camera from a minimum without these frames, and then their
+    /// poses with this camera. Returns by frame the mean over its features of |r/σ|², with the weights and the loss of
+    /// the calibration. `parameters` keep their value in the minimum.
     pub fn held_out(
         &self,
         minimum: &Minimum,
@@ -128,7 +128,7 @@ impl<'a> Refit<'a> {
         Ok(left_out.poses.iter().zip(&solved.frame_costs).map(squares).collect())
     }
 
-    /// The residuals at a minimum.
+    /// Computes the residuals at a minimum.
     pub fn reprojection(&self, minimum: &Minimum) -> Result<Reprojection> {
         let rows = solver_features(&self.features, &minimum.poses, self.board);
         let poses = transforms(&minimum.poses);
@@ -150,7 +150,7 @@ impl<'a> Refit<'a> {
         Problem { camera: &at.camera, board, poses, features, centers }
     }
 
-    /// With one thread: several are solved at a time.
+    /// Returns solver options with one thread, since several refits run at a time.
     fn solver(&self) -> SolverOptions {
         SolverOptions { threads: 1, ..self.calibration.options.solver() }
     }
@@ -158,7 +158,7 @@ impl<'a> Refit<'a> {
     fn cost_without(&self, parameters: &[Parameter]) -> CostOptions {
         let mut cost = self.calibration.cost.clone();
         cost.fixed.extend(parameters.iter().map(ToString::to_string));
-        // What is known of a parameter says nothing where there is none.
+        // A prior on a parameter that is taken away has no meaning.
         let is_held = |quantity: &str| parameters.iter().any(|p| p.name() == quantity);
         cost.priors.retain(|prior| !is_held(&prior.quantity));
         cost

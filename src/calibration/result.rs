@@ -6,7 +6,7 @@ use crate::model::{FramePose, PlenopticCamera, Reprojection, optics};
 use crate::precalibration::MicroImageArray;
 use crate::solver::{CostOptions, Refinement, Uncertainty};
 
-/// A calibration: the camera, and a record of how it was estimated.
+/// Calibration: the camera, and a record of how it was estimated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
     /// The camera before the refinement.
@@ -19,7 +19,7 @@ pub struct Calibration {
     pub board: BoardResult,
     /// The poses of the frames used, by frame number.
     pub poses: Vec<FramePose>,
-    /// Where they started.
+    /// Initial poses of these frames.
     pub initial_poses: Vec<FramePose>,
     /// The frames left out.
     pub left_out: Vec<LeftOut>,
@@ -33,25 +33,25 @@ pub struct Calibration {
     pub reprojection: Reprojection,
     /// Uncertainty of the refined camera and poses.
     pub uncertainty: Uncertainty,
-    /// Whether it is at a minimum: by the solver's tolerances, and by how much a further step would lower
-    /// the cost.
+    /// True if the calibration is at a minimum: by the tolerances of the solver, and by the decrease of the cost that a
+    /// further step would give.
     pub converged: bool,
     /// The options used.
     pub options: CalibrationOptions,
     /// The cost used, with all priors and their weight; without the loss if the solve ended before the
     /// loss took part.
     pub cost: CostOptions,
-    /// What the widths of edges say; `None` where the features do not state them.
+    /// Aperture ratios from the widths of edges; `None` if the features do not state these widths.
     pub blur: Option<BlurMeasurement>,
-    /// What became of the priors.
+    /// Priors, with their values in the refined camera.
     pub priors: Vec<PriorResult>,
-    /// What the user should know.
+    /// Findings for the user.
     pub findings: Vec<Finding>,
 }
 
 impl Calibration {
-    /// ε_m = (m* − m)/m*: the relative amount by which m of the white images falls short of m* of the
-    /// refined camera (paper, Table 2).
+    /// Returns ε_m = (m* − m)/m*: the relative amount by which m of the white images falls short of m* of the refined
+    /// camera (paper, Table 2).
     #[must_use]
     pub fn m_error(&self) -> Option<f64> {
         let of_camera = optics::internal_parameters(&self.camera).m_mm;

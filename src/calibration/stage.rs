@@ -25,18 +25,18 @@ use crate::solver::{
     self, CostOptions, Iteration, LossKind, Prior, Problem, Refinement, Termination, Uncertainty,
 };
 
-/// The minimum counts as reached if one more Gauss-Newton step would lower the cost by less than this
-/// fraction. A parameter n standard deviations off adds n² s²/2 to the cost, s² being the variance of
-/// the residuals that determine it: with 10⁵ residuals of similar variance n < 10⁻³.
+/// Largest relative decrease of the cost by one more Gauss-Newton step at a minimum. A parameter n standard deviations
+/// off adds n² s²/2 to the cost, where s² is the variance of the residuals that determine it: with 10⁵ residuals of
+/// similar variance n < 10⁻³.
 const MAX_EXPECTED_DECREASE: f64 = 1e-11;
-/// A cost below this per (standardised) residual is zero up to rounding: (10⁻⁶)²/2.
+/// Cost per (standardised) residual that is zero up to rounding: (10⁻⁶)²/2.
 const ZERO_COST_PER_RESIDUAL: f64 = 0.5e-12;
 
 /// Calibrates a camera, or with [`Mode::PosesOnly`] finds the poses of the boards.
 ///
 /// `progress` is called after every iteration and stops the solve by returning false.
 ///
-/// An error if the input is inconsistent or no frame can be used.
+/// Returns an error if the input is inconsistent or no frame can be used.
 pub fn calibrate(
     start: &Start,
     board: &Board,
@@ -49,11 +49,11 @@ pub fn calibrate(
     completed(prepared, board, options, None, progress)
 }
 
-/// The cost that [`calibrate`] minimises, evaluated at a solution that may come from elsewhere: the result of a
-/// calibration that has ended there. What one more step would gain is in its
-/// [`uncertainty`](Calibration::uncertainty). A free shape of the board keeps the value of the options.
+/// Evaluates the cost that [`calibrate`] minimises at a solution that may come from elsewhere. Returns the result of a
+/// calibration that ended there. Its [`uncertainty`](Calibration::uncertainty) tells the gain of one more step. A free
+/// shape of the board keeps the value of the options.
 ///
-/// An error as of [`calibrate`], and if camera and observations do not belong together.
+/// Returns an error like [`calibrate`], and if camera and observations do not belong together.
 pub fn cost_at(
     solution: &Solution,
     start: &Start,
@@ -66,10 +66,10 @@ pub fn cost_at(
     completed(prepared, board, options, Some(solution), &mut |_| true)
 }
 
-/// The cost of a problem, evaluated at a solution as by [`cost_at`]: observations, weights, loss, priors and free parameters are
-/// those of the problem. `shape` is that of the board at the solution.
+/// Evaluates the cost of a problem at a solution, like [`cost_at`]. The problem gives observations, weights, loss,
+/// priors and free parameters. `shape` is the shape of the board at the solution.
 ///
-/// An error if the numbers of the problem are impossible, or if it and the solution do not belong together.
+/// Returns an error if the numbers of the problem are impossible, or if it and the solution do not belong together.
 pub fn cost_of_problem_at(
     problem: &SolvedProblem,
     solution: &Solution,
@@ -82,7 +82,7 @@ pub fn cost_of_problem_at(
     completed(prepared, board, &options, Some(solution), &mut |_| true)
 }
 
-/// A calibration from its start, or the cost at a solution.
+/// Completes a calibration from its start, or evaluates the cost at a solution.
 fn completed(
     prepared: Prepared,
     board: BentBoard,
@@ -168,8 +168,8 @@ fn completed(
     })
 }
 
-/// Refines. Where the loss is to be found and there is none, since features state no σ, once more with one if some
-/// outlie; then with a finding.
+/// Refines. If the options leave the loss open and features state no σ, there is no loss at first. If some features are
+/// then outliers, refines once more with a loss, and returns a finding.
 fn withstanding(
     settings: &Settings,
     problem: &Problem,
@@ -207,7 +207,7 @@ pub(super) fn center_residuals(
     Ok(centers.iter().zip(projected).map(residual).collect())
 }
 
-/// The cost with what depends on the input: default priors, and the loss.
+/// Returns the cost with its parts that depend on the input: default priors, and the loss.
 fn cost_for(
     options: &CalibrationOptions,
     camera: &PlenopticCamera,
@@ -244,7 +244,7 @@ fn refined_poses(frames: &Frames, refinement: &Refinement) -> Vec<FramePose> {
     frames.poses.iter().zip(&refinement.poses).map(pose).collect()
 }
 
-/// By how much a further step would lower the cost.
+/// Returns true if a further step would not lower the cost noticeably.
 fn is_minimum(
     refinement: &Refinement,
     uncertainty: &Uncertainty,

@@ -1,11 +1,11 @@
-//! What a calibration starts from: a datasheet with white images, or a calibrated camera.
+//! Start of a calibration: a datasheet with white images, or a calibrated camera.
 
 use crate::error::Result;
 use crate::model::{
     Datasheet, InternalParameters, LatticeKind, MicroImageCenter, PlenopticCamera, Sensor,
 };
 
-/// What a calibration starts from.
+/// Start of a calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Start {
     /// Datasheet and internal parameters: the paper's initialisation.
@@ -15,7 +15,7 @@ pub enum Start {
 }
 
 impl Start {
-    /// Kind of the array, its columns and rows; where they are not stated, those of its centres.
+    /// Returns the kind of the array, and its columns and rows. If these are not stated, they follow from the centres.
     pub(super) fn array(&self, centers: &[MicroImageCenter]) -> (LatticeKind, (i32, i32)) {
         match self {
             Self::Datasheet(sheet, _) => (sheet.lattice_kind, sheet.array_size_by(centers)),
@@ -25,7 +25,7 @@ impl Start {
         }
     }
 
-    /// Number I of lens types.
+    /// Returns the number I of lens types.
     #[must_use]
     pub fn lens_types(&self) -> usize {
         match self {
@@ -34,7 +34,7 @@ impl Start {
         }
     }
 
-    /// The internal parameters; `None` for a calibrated camera.
+    /// Returns the internal parameters; `None` for a calibrated camera.
     pub(super) fn internal(&self) -> Option<&InternalParameters> {
         match self {
             Self::Datasheet(_, internal) => Some(internal),
@@ -42,7 +42,7 @@ impl Start {
         }
     }
 
-    /// The sensor.
+    /// Returns the sensor.
     pub(super) fn sensor(&self) -> &Sensor {
         match self {
             Self::Datasheet(sheet, _) => &sheet.sensor,
@@ -50,7 +50,7 @@ impl Start {
         }
     }
 
-    /// The same without lens types: an array of pinholes.
+    /// Returns the start without lens types: with an array of pinholes.
     pub(super) fn of_pinholes(&self) -> Self {
         let mut start = self.clone();
         match &mut start {
@@ -60,7 +60,7 @@ impl Start {
         start
     }
 
-    /// An error that names the impossible value.
+    /// Returns an error that names the impossible value.
     pub(super) fn validate(&self) -> Result<()> {
         match self {
             Self::Datasheet(sheet, internal) => {

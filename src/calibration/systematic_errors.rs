@@ -1,8 +1,8 @@
-//! Errors that observations have in common, because something was taken from the white images.
+//! Systematic errors of observations, due to quantities that their measurement assumes known.
 //!
-//! Where a corner is found depends a little on the pupil of the main lens, on q'ᵢ, on how light falls off inside a
-//! micro-image, on the point spread, and on how the array is tilted. All features share the errors of these, and no scatter shows them. All
-//! centres share how far the fall-off shifts the centroids of micro-images.
+//! The position of a corner depends a little on the pupil of the main lens, on q'ᵢ, on the angular response inside a
+//! micro-image, on the aperture ratio, on the point spread, and on the tilt of the array. All features share the errors
+//! of these, and no scatter shows them. All centres share the error of the shift of centroids by the angular response.
 
 use nalgebra::Vector2;
 
@@ -14,19 +14,18 @@ use crate::model::{
 };
 use crate::solver::{self, CostOptions, Prior, SystematicError};
 
-/// How well the model of a blurred corner keeps its distance from the centre of the micro-image, relative: corners in
-/// simulated images are 0.1 % too far outwards through ideal lenses, and 0.3 % through traced ones
-/// (docs/accuracy.md).
+/// Relative model error of the distance of a corner from the centre of its micro-image. In simulated images corners are
+/// 0.1 % too far outwards with ideal lenses, and 0.3 % with traced ones (docs/accuracy.md).
 const BLUR_MODEL: f64 = 2e-3;
 
 /// Name of the error of the aperture ratio.
 const APERTURE_RATIO: &str = "aperture ratio";
 
-/// How well it is known how far the fall-off shifts the centroids of micro-images, over its gradient, px²: on
-/// simulated cameras with any law to this.
+/// Model error of the shift of centroids, over the gradient of the angular response, px²: the accuracy on simulated
+/// cameras with any law.
 const CENTROID_MODEL_PX2: f64 = 0.07;
 
-/// The systematic errors of features, and of the priors that have them too.
+/// Computes the systematic errors of features, and of the priors that share them.
 pub(super) fn systematic_errors(
     start: &Start,
     camera: &PlenopticCamera,
@@ -47,11 +46,11 @@ pub(super) fn systematic_errors(
     let mut add = |source: &str, priors: Vec<f64>, by: &dyn Fn(usize, &BapFeature) -> [f64; 3]| {
         let features_px: Vec<f64> =
             features.iter().enumerate().flat_map(|(i, f)| by(i, f)).collect();
-        // The error of one prior alone is in its σ.
+        // An error of one prior alone is already in its σ.
         let of_several = priors.iter().filter(|by| **by != 0.0).count() > 1;
         if of_several || features_px.iter().any(|by| *by != 0.0) {
             let (source, centers_px) = (source.to_owned(), Vec::new());
-            // White images do not determine the aperture ratio: σ of their priors does not contain its error.
+            // White images do not determine the aperture ratio, so the σ of their priors do not contain its error.
             let in_priors = source != APERTURE_RATIO;
             errors.push(SystematicError { source, features_px, centers_px, priors, in_priors });
         }
@@ -103,13 +102,13 @@ pub(super) fn systematic_errors(
     Ok(errors)
 }
 
-/// How far a corner may be from where it is, in proportion to its distance from the centre of its micro-image, px.
+/// Returns the model error of a corner, in proportion to its distance from the centre of its micro-image, px.
 fn of_blur_model(feature: &BapFeature, own_center: [f64; 2]) -> [f64; 3] {
     let [u, v] = [feature.u_px - own_center[0], feature.v_px - own_center[1]];
     feature.sensitivities_px.map_or([0.0; 3], |_| [u * BLUR_MODEL, v * BLUR_MODEL, 0.0])
 }
 
-/// Errors of the tilt gradient along both axes, px⁻¹: what each has of its own, and what they share.
+/// Returns the errors of the tilt gradient along both axes, px⁻¹: the own error of each axis, and the shared one.
 fn of_tilt_gradient(tilt_gradient: &TiltGradient) -> [(&'static str, [f64; 2]); 3] {
     let own = |axis: usize| {
         let variance =
@@ -123,8 +122,8 @@ fn of_tilt_gradient(tilt_gradient: &TiltGradient) -> [(&'static str, [f64; 2]); 
     ]
 }
 
-/// qᵢ by lens type, mm, by which q'ᵢ fall with ln φ: white images show the product of φ and qᵢ = q'ᵢ − Δc/2. And by how much
-/// the value of each prior changes with ln φ, in its σ.
+/// Returns qᵢ by lens type, mm, and the derivative of the value of each prior by ln φ, in its σ. White images show the
+/// product of φ and qᵢ = q'ᵢ − Δc/2, so the derivative of q'ᵢ is −qᵢ.
 fn by_aperture_ratio(
     internal: &InternalParameters,
     priors: &[Prior],
@@ -144,7 +143,7 @@ fn by_aperture_ratio(
     (q_mm, of_priors)
 }
 
-/// By how far the fall-off may shift the centroids of micro-images; `None` without a fall-off or centres.
+/// Returns the error of the shift of centroids by the angular response; `None` without an angular response or centres.
 fn of_centroids(
     internal: &InternalParameters,
     features: usize,
@@ -163,11 +162,11 @@ fn of_centroids(
     })
 }
 
-/// σ of the pupil's radius, of the fall-off inside micro-images and of the aperture ratio, relative; and of the variance of the
-/// point spread, px².
+/// Returns σ of the radius of the pupil, of the angular response inside micro-images and of the aperture ratio,
+/// relative, and of the variance of the point spread, px².
 fn std_devs(internal: &InternalParameters) -> [f64; 4] {
     let pupil = internal.m_std_dev_mm.map_or(0.0, |std_dev| std_dev / internal.m_mm.abs());
-    // Without a fall-off there is no sensitivity either.
+    // Without an angular response there is no sensitivity either.
     let known = internal.fall_off.filter(|fall_off| fall_off.within_per_px2 != 0.0);
     let within = known
         .map_or(0.0, |fall_off| fall_off.within_std_dev_per_px2 / fall_off.within_per_px2.abs());

@@ -1,13 +1,13 @@
-//! A calibration as sentences: how it ended, and its weakest directions.
+//! Calibration as sentences: how it ended, and its weakest directions.
 
 use crate::calibration::Calibration;
 use crate::quantity::{display_unit, signed, significant};
 use crate::solver::{Termination, WeakDirection};
 
-/// A direction names the distance of the boards if it explains this share of its variance.
+/// Share of its variance from which on a direction names the distance of the boards.
 const BOARDS_NAMED_SHARE: f64 = 0.5;
 
-/// A sentence that says how the refinement ended.
+/// Returns a sentence that says how the refinement ended.
 #[must_use]
 pub fn termination_text(calibration: &Calibration) -> String {
     let decrease = significant(calibration.uncertainty.expected_decrease, 2);
@@ -30,7 +30,7 @@ pub fn termination_text(calibration: &Calibration) -> String {
     }
 }
 
-/// The weakest directions, one sentence each; the weakest first.
+/// Returns the weakest directions, one sentence each, the weakest first.
 #[must_use]
 pub fn weakest_directions_text(calibration: &Calibration) -> Vec<String> {
     let lens_types = calibration.camera.lens_types();

@@ -5,27 +5,28 @@ use crate::model::{Board, Subset, at_most_full};
 use crate::numerics::median;
 use crate::quantity::Estimate;
 
-/// Boards in fewer positions carry little information on a camera.
+/// Number of positions below which boards carry little information on a camera.
 const FEW_FRAMES: usize = 4;
-/// The variance of both axes together of an even motion is a twelfth of its square, the variance along an axis half of it.
+/// Square of an even motion over the excess edge variance along an axis. The variance of both axes together is a twelfth of the
+/// square, along an axis half of it.
 const MOTION: f64 = 24.0;
 
-/// A frame is rejected if more than this part of its micro-images is unusable for the same reason.
+/// Part of the micro-images, unusable for the same reason, above which a frame is rejected.
 const UNUSABLE: f64 = 0.25;
-/// Aperture ratios that differ by fewer σ may differ by chance.
+/// Difference of aperture ratios, in σ, below which it may be chance.
 const RATIO_STD_DEVS: f64 = 3.0;
 
-/// Aperture ratios are the same if they differ by less than this part.
+/// Relative difference below which aperture ratios are the same.
 const SAME_RATIO: f64 = 0.002;
 
-/// The perspective of tilted boards leaves features 3 to 5 % of their spread off affine images of their corners, another
-/// numbering 54 % and more.
+/// Misfit of the features, as a part of their spread, above which corners are numbered otherwise. The perspective of tilted
+/// boards moves features by 3 to 5 % from affine images of their corners, another numbering by 54 % and more.
 const NUMBERED_OTHERWISE: f64 = 0.3;
-/// The right numbering fits better by more than this factor; by chance none does.
+/// Ratio of misfits below which another numbering fits better; chance does not reach it.
 const FITS_BETTER: f64 = 0.33;
 
-/// Checks the numbering of corners by the misfit of the board to the features with each numbering; the reason if another one than
-/// row by row fits.
+/// Checks the numbering of corners by the misfit of the board to the features with each numbering. Returns an error if another
+/// one than row by row fits.
 pub(crate) fn numbering(misfits: &[(CornerNumbering, f64)], board: &Board) -> Result<(), Issue> {
     let stated = misfits.iter().find(|(numbering, _)| *numbering == CornerNumbering::RowByRow);
     let best = misfits.iter().min_by(|a, b| a.1.total_cmp(&b.1));
@@ -40,7 +41,7 @@ pub(crate) fn numbering(misfits: &[(CornerNumbering, f64)], board: &Board) -> Re
     }
 }
 
-/// Parts of the micro-images of a frame that are unusable, by the reason.
+/// Parts of the micro-images of a frame that are unusable, by reason.
 pub(crate) struct UnusableParts {
     pub saturated_white: f64,
     pub saturated: f64,
@@ -50,7 +51,7 @@ pub(crate) struct UnusableParts {
     pub pitch_px: f64,
 }
 
-/// The exposure of a frame; the reason if it allows for no detection.
+/// Checks the exposure of a frame. Returns an error if it allows for no detection.
 pub(crate) fn exposure(unusable: &UnusableParts) -> Result<(), Issue> {
     let UnusableParts { saturated_white, saturated, too_small, dark, pitch_px } = *unusable;
     if saturated_white > UNUSABLE {
@@ -68,35 +69,35 @@ pub(crate) fn exposure(unusable: &UnusableParts) -> Result<(), Issue> {
     Ok(())
 }
 
-/// Boards whose edges show another aperture ratio than those of the calibration, with which their corners were fitted, and
-/// its σ.
+/// Finds boards whose edges show another aperture ratio than the boards of the calibration. Corners were fitted with the
+/// latter, which has the given σ.
 pub(crate) fn aperture_ratio(
     fitted_with: f64,
     std_dev: f64,
     estimated: Estimate,
 ) -> Option<Finding> {
-    // What is taken of those boards is at most 1.
+    // The ratio of the calibration is at most 1, so the estimate is limited too.
     let change = (at_most_full(&estimated).value - fitted_with).abs();
     let std_dev = estimated.std_dev.hypot(std_dev);
     let differs = change > SAME_RATIO * estimated.value && change > RATIO_STD_DEVS * std_dev;
     differs.then(|| Finding::caution(Issue::ApertureRatioOfOtherBoards { fitted_with, estimated }))
 }
 
-/// Images whose samples were rounded to few levels: the frames with their number of levels.
+/// Finds images whose samples were rounded to few levels, from the frames with their number of levels.
 pub(crate) fn few_levels(frames: &[(u32, u32)]) -> Option<Finding> {
     let fewest = frames.iter().map(|(_, levels)| *levels).min()?;
     let (images, frames) = (frames.len(), frames.iter().map(|(frame, _)| *frame).collect());
     Some(Finding::caution(Issue::FewLevels { images, fewest, frames }))
 }
 
-/// The number of frames with a board.
+/// Finds too few frames with a board.
 pub(crate) fn enough(frames: usize, subset: Subset) -> Option<Finding> {
     (frames < FEW_FRAMES && subset == Subset::Calibration)
         .then(|| Finding::note(Issue::FewBoards { frames }))
 }
 
-/// Frames whose edges are wider than the others': each frame with the excess variance of its edges, px². A frame is named
-/// beyond `least_px2` and so many `std_devs`.
+/// Finds frames whose edges are wider than the others'. Each frame has the excess edge variance, px². A finding needs more than
+/// `least_px2` and so many `std_devs`.
 pub(crate) fn motion_blur(
     frames: &[(u32, &str, Estimate)],
     (least_px2, std_devs): (f64, f64),
@@ -115,8 +116,8 @@ pub(crate) fn motion_blur(
     frames.iter().filter(wider).map(finding).collect()
 }
 
-/// Whether any frame shows the board from side to side: a board that is stated too large fits as well where its other sides
-/// are out of view. `corners` are the numbers of the corners found in each frame.
+/// Finds a board that no frame shows from side to side: if it is stated too large, it fits as well with its other sides out of
+/// view. `corners` are the numbers of the corners found in each frame.
 pub(crate) fn all_sides(corners: &[Vec<i32>], board: &Board) -> Option<Finding> {
     let Board { columns, rows, .. } = *board;
     let spans = |of: fn(i32, i32) -> i32, last: i32| {

@@ -7,58 +7,60 @@ use crate::model::{BentBoard, FramePose, Observations, Parameter, PlenopticCamer
 use crate::quantity::Estimate;
 use crate::solver::Uncertainty;
 
-/// A prior that is contradicted by more σ than this is a finding.
+/// Deviation from a prior, in σ, above which there is a finding.
 pub(crate) const CONTRADICTED: f64 = 3.0;
-/// By this many σ, the prior or the observations are wrong.
+/// Deviation, in σ, above which the prior or the observations are wrong.
 const WRONG: f64 = 6.0;
-/// What m of the white images is worth besides its own σ: the tolerance of engraved f-numbers, relative.
+/// Tolerance of m of the white images besides its own σ, due to engraved f-numbers, relative.
 const SLOPE_FLOOR: f64 = 0.02;
-/// m of simulated cameras is within 1 % of the m of their white images.
+/// Largest relative difference between m of camera and white images; for simulated cameras it is below 1 %.
 const SLOPES_AGREE: f64 = 0.015;
-/// The features of clean images, of real lenses too, scatter by 1.1 to 1.4 times their σ.
+/// Largest scatter of features over their σ; clean images, of real lenses too, have 1.1 to 1.4.
 const SCATTER: f64 = 1.6;
-/// Of 428 users' mistakes, those that left the camera right scattered by up to 4.8 times σ; at 6.5 and more it was wrong.
+/// Scatter over σ above which the camera is wrong. Of 428 users' mistakes, those that left the camera right had up to 4.8; with
+/// 6.5 and more it was wrong.
 const SCATTER_WRONG: f64 = 6.0;
-/// A reprojection error above this fraction of the micro-image pitch is not noise of a detector. On
-/// the R12 the limit is 2.3 px; real data have 0.9 px.
+/// Largest reprojection error that noise of a detector can explain, as a fraction of the micro-image pitch. On the R12 it is
+/// 2.3 px; real data have 0.9 px.
 const BAD_FIT: f64 = 0.1;
-/// A model that explains the blur radii leaves residuals below this fraction of their spread: R12-A leaves 0.08 of it, radii
-/// and q' for aperture ratios that are 8 % apart half of it.
+/// Largest residuals of blur radii, as a fraction of their spread, that a right model leaves. R12-A leaves 0.08; radii and q'
+/// for aperture ratios that are 8 % apart leave 0.5.
 const UNEXPLAINED_RHO: f64 = 0.3;
-/// An array may be larger than the image by this factor.
+/// Factor by which an array may be larger than the image.
 const ARRAY_OVER_IMAGE: f64 = 1.5;
-/// Single outliers do nothing, as the loss weights them down; more than this part means that more is wrong.
+/// Largest part of outlying features. Single outliers have no effect, since the loss reduces their weight; more of them have a
+/// cause.
 const OUTLYING_PART: f64 = 0.002;
-/// Patterns above these fractions of the residuals are named.
+/// Largest patterns, as fractions of the residuals.
 const IMAGE_PATTERN: f64 = 0.3;
 const MICRO_IMAGE_PATTERN: f64 = 0.1;
-/// Residuals of one lens type over another's.
+/// Largest ratio of the residuals of two lens types.
 const LENS_TYPES: f64 = 1.4;
-/// Fewer frames do not reveal the errors that the features of a frame share.
+/// Number of frames below which the errors that the features of a frame share cannot be estimated.
 const ENOUGH_FRAMES: usize = 6;
-/// Fewer still leave too much to chance.
+/// Number of frames below which too much is left to chance.
 const MIN_FRAMES: usize = 3;
-/// A board tilted by less, rad (10°), carries little information on F.
+/// Tilt of a board, rad (10°), below which it carries little information on F.
 const TILTED_RAD: f64 = 0.1745;
 const ENOUGH_TILTED: usize = 3;
-/// Boards tilted by less than this, rad (5°), can hardly be distinguished in a projection.
+/// Tilt, rad (5°), below which boards can hardly be distinguished in a projection.
 const FRONTO_PARALLEL_RAD: f64 = 0.087;
-/// Largest over smallest distance of boards.
+/// Smallest ratio of the largest to the smallest distance of boards.
 const DISTANCES: f64 = 1.2;
-/// Part of the image that boards cover.
+/// Smallest part of the image that boards cover.
 const COVERAGE: f64 = 0.5;
-/// Share of one frame in the information on a parameter.
+/// Largest share of one frame in the information on a parameter.
 const DOMINANT: f64 = 0.5;
-/// Relative σ of a length.
+/// Largest relative σ of a length.
 const UNCERTAIN: f64 = 0.01;
 const UNKNOWN: f64 = 0.1;
-/// The parameters whose relative σ matters.
+/// Parameters whose relative σ matters.
 const LENGTHS: [&str; 6] = ["F", "D", "d", "f_1", "f_2", "f_3"];
-/// A bend by more of the diagonal calls for another board.
+/// Bend, as a part of the diagonal, above which another board is needed.
 const WARPED: f64 = 5e-3;
-/// Squares that are longer along one side by this part may have been measured along either.
+/// Relative stretch of squares above which their size may have been measured along either side.
 const STRETCHED: f64 = 0.01;
-/// The aperture ratios of two lens types differ if they do by more than this part and by so many σ.
+/// Smallest relative difference of the aperture ratios of two lens types that counts, and the same in σ.
 const RATIOS_DIFFER_PART: f64 = 0.01;
 const RATIOS_DIFFER: f64 = 3.0;
 
@@ -70,7 +72,7 @@ pub(crate) fn not_converged(converged: bool) -> Option<Finding> {
     (!converged).then(|| Finding::unusable(Issue::NotConverged).weighing(100.0))
 }
 
-/// Micro-image centres far from the grid: a note, since the loss reduces their weight.
+/// Finds micro-image centres far from the grid: a note, since the loss reduces their weight.
 pub(crate) fn outlying_centers(
     outliers: usize,
     centers: usize,
@@ -79,7 +81,7 @@ pub(crate) fn outlying_centers(
     (outliers > 0).then(|| Finding::note(Issue::OutlyingCenters { outliers, centers, grid_rms_px }))
 }
 
-/// An array that extends far beyond the image.
+/// Finds an array that extends far beyond the image.
 pub(crate) fn array_beyond_image(camera: &PlenopticCamera) -> Option<Finding> {
     let (lattice, sensor) = (&camera.lattice, &camera.sensor);
     let extent = camera.micro_image_pitch_px()
@@ -95,7 +97,7 @@ pub(crate) fn array_beyond_image(camera: &PlenopticCamera) -> Option<Finding> {
     })
 }
 
-/// Parameters that the observations do not determine.
+/// Finds parameters that the observations do not determine.
 pub(crate) fn undetermined(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> Option<Finding> {
     let (rank, parameters) = (uncertainty.rank, uncertainty.size());
     let all = Parameter::shared(camera.lens_types());
@@ -106,7 +108,7 @@ pub(crate) fn undetermined(camera: &PlenopticCamera, uncertainty: &Uncertainty) 
     })
 }
 
-/// Residuals that noise cannot explain.
+/// Finds residuals that noise cannot explain.
 pub(crate) fn fit(camera: &PlenopticCamera, reprojection: &Reprojection) -> Option<Finding> {
     let (rmse, micro_image_pitch_px) = (reprojection.rmse(), camera.micro_image_pitch_px());
     if rmse.all_px > BAD_FIT * micro_image_pitch_px {
@@ -121,7 +123,7 @@ pub(crate) fn fit(camera: &PlenopticCamera, reprojection: &Reprojection) -> Opti
     Some(Finding::unusable(Issue::UnexplainedBlur { rms_px, spread_px }).weighing(50.0))
 }
 
-/// Tilts of boards, rad.
+/// Returns the tilts of boards, rad.
 fn tilts(poses: &[FramePose]) -> impl Iterator<Item = f64> {
     poses.iter().map(|pose| {
         let normal = pose.camera_from_board.rotation * nalgebra::Vector3::z();
@@ -129,14 +131,14 @@ fn tilts(poses: &[FramePose]) -> impl Iterator<Item = f64> {
     })
 }
 
-/// Boards that are all parallel to the image plane: F and their distance can hardly be separated.
+/// Finds boards that are all parallel to the image plane: F and their distance can hardly be separated.
 pub(crate) fn fronto_parallel(poses: &[FramePose]) -> Option<Finding> {
     let largest_tilt_deg = tilts(poses).fold(0.0, f64::max).to_degrees();
     (largest_tilt_deg.to_radians() < FRONTO_PARALLEL_RAD)
         .then(|| Finding::caution(Issue::FrontoParallel { largest_tilt_deg }).weighing(50.0))
 }
 
-/// Boards that are too few, hardly tilted, or all at one distance.
+/// Finds boards that are too few, hardly tilted, or all at one distance.
 pub(crate) fn boards(poses: &[FramePose]) -> Vec<Finding> {
     let frames = poses.len();
     let mut findings = Vec::new();
@@ -156,7 +158,7 @@ pub(crate) fn boards(poses: &[FramePose]) -> Vec<Finding> {
     findings
 }
 
-/// Poses that belong to no feature.
+/// Finds poses of frames without features.
 pub(crate) fn poses_of_no_frame(
     given: &[FramePose],
     observations: &Observations,
@@ -166,7 +168,7 @@ pub(crate) fn poses_of_no_frame(
     (!frames.is_empty()).then(|| Finding::caution(Issue::PosesOfNoFrame { frames }).weighing(50.0))
 }
 
-/// A prior that the observations contradict. `source` names where the prior comes from.
+/// Finds a prior that the observations contradict. `source` names the origin of the prior.
 pub(crate) fn prior(
     (quantity, unit): (&str, &'static str),
     prior: Estimate,
@@ -181,7 +183,7 @@ pub(crate) fn prior(
     })
 }
 
-/// m of the white images against m of the camera; `error` is (m* − m)/m*.
+/// Compares m of the white images with m of the camera; `error` is (m* − m)/m*.
 pub(crate) fn slope(error: f64) -> Option<Finding> {
     let off = error.abs();
     (off > SLOPES_AGREE).then(|| {
@@ -190,7 +192,7 @@ pub(crate) fn slope(error: f64) -> Option<Finding> {
     })
 }
 
-/// Residuals over the σ of the detection.
+/// Checks the residuals over the σ of the detection.
 pub(crate) fn scatter(ratio: f64) -> Option<Finding> {
     (ratio > SCATTER).then(|| {
         let severity = severity_above(ratio, SCATTER_WRONG);
@@ -203,14 +205,14 @@ pub(crate) fn outlying_features(outlying: usize, all: usize) -> Option<Finding> 
         .then(|| Finding::caution(Issue::OutlyingFeatures { outlying, all }).weighing(2.0))
 }
 
-/// A pattern of the residuals over the image, as a part of their size.
+/// Finds a pattern of the residuals over the image, as a part of their size.
 pub(crate) fn image_pattern(part: f64) -> Option<Finding> {
     (part > IMAGE_PATTERN).then(|| {
         Finding::caution(Issue::ImagePattern { part }).weighing(4.0 * part / IMAGE_PATTERN)
     })
 }
 
-/// A pattern of the residuals over the radius of micro-images, as a part of their size.
+/// Finds a pattern of the residuals over the radius of micro-images, as a part of their size.
 pub(crate) fn micro_image_pattern(part: f64) -> Option<Finding> {
     (part > MICRO_IMAGE_PATTERN).then(|| {
         Finding::caution(Issue::MicroImagePattern { part })
@@ -218,18 +220,18 @@ pub(crate) fn micro_image_pattern(part: f64) -> Option<Finding> {
     })
 }
 
-/// The largest residuals of a lens type over the smallest.
+/// Checks the ratio of the largest to the smallest residuals of a lens type.
 pub(crate) fn lens_type_pattern(ratio: f64) -> Option<Finding> {
     (ratio > LENS_TYPES)
         .then(|| Finding::caution(Issue::LensTypePattern { ratio }).weighing(2.0 * ratio))
 }
 
-/// The part of the image that boards cover.
+/// Checks the part of the image that boards cover.
 pub(crate) fn coverage(part: f64) -> Option<Finding> {
     (part < COVERAGE).then(|| Finding::caution(Issue::Coverage { part }).weighing(2.0))
 }
 
-/// Lengths that depend on one frame, or have a large σ: the worst of each.
+/// Finds lengths that depend on one frame, or have a large σ: the worst of each.
 pub(crate) fn parameters(
     camera: &PlenopticCamera,
     uncertainty: &Uncertainty,
@@ -267,7 +269,7 @@ pub(crate) fn parameters(
     dominant.into_iter().chain(uncertain).collect()
 }
 
-/// A board that bends so far that it should be replaced, or has oblong squares; `estimated` if its shape is free.
+/// Finds a board that bends so far that it should be replaced, or has oblong squares; `estimated` is true if its shape is free.
 pub(crate) fn board_shape(board: &BentBoard, estimated: bool) -> Vec<Finding> {
     let (bend_mm, diagonal_mm, aspect) =
         (board.bend_mm(), board.board.diagonal_mm(), board.shape.aspect);
@@ -278,7 +280,7 @@ pub(crate) fn board_shape(board: &BentBoard, estimated: bool) -> Vec<Finding> {
     warped.into_iter().chain(stretched).map(|finding| finding.weighing(50.0)).collect()
 }
 
-/// The two lens types, from 0, whose aperture ratios differ most, if they differ; `mean` is the ratio of all.
+/// Finds the two lens types, from 0, whose aperture ratios differ most, if they differ; `mean` is the ratio of all.
 pub(crate) fn aperture_ratios(of_types: &[(usize, Estimate)], mean: f64) -> Option<Finding> {
     let pairs = of_types.iter().flat_map(|a| of_types.iter().map(move |b| (a, b)));
     let apart = |(a, b): &(&(usize, Estimate), &(usize, Estimate))| a.1.std_devs_from(&b.1);

@@ -1,33 +1,33 @@
-//! Checks of a camera in use: whether it is the camera of the white images and boards that it is used with.
+//! Checks of a camera in use: it must be the camera of the white images and boards.
 
 use super::calibration::severity_above;
 use crate::finding::{Finding, Issue, Severity};
 use crate::quantity::Estimate;
 
-/// An array that has moved by half a pixel moves u₀ and v₀ by as much. Cameras of the presets are within 0.02 px RMS of their white
-/// images, that of R12-A within 0.3 px.
+/// Largest RMS difference of micro-image centres, px. An array that has moved by half a pixel moves u₀ and v₀ by as much.
+/// Cameras of the presets are within 0.02 px RMS of their white images, R12-A within 0.3 px.
 const CENTERS_PX: f64 = 0.5;
-/// Beyond this part of a pitch, it is another array or another sensor.
+/// RMS difference, as a part of the pitch, above which it is another array or another sensor.
 const CENTERS_WRONG: f64 = 0.1;
-/// Blur radii of white images and camera agree within this part of the largest. Two sets of white images of one simulated camera
-/// agree to 0.1 %; f-numbers of real lenses are worth 2 %.
+/// Largest difference of blur radii of white images and camera, as a part of the largest radius. Two sets of white images of
+/// one simulated camera agree to 0.1 %; f-numbers of real lenses have a tolerance of 2 %.
 const BLUR: f64 = 0.05;
 const BLUR_WRONG: f64 = 0.2;
-/// A permutation explains white images if what it leaves is this part of what the stated order leaves.
+/// Largest remaining difference, relative to the stated order, for which a permutation explains white images.
 const PERMUTED: f64 = 0.3;
-/// Engraved f-numbers are this exact, relative; half a stop is 19 %.
+/// Relative tolerance of engraved f-numbers; half a stop is 19 %.
 const F_NUMBER: f64 = 0.1;
-/// Blur radii of boards are within 1.4 σ RMS of a camera that is right (docs/use.md).
+/// Largest RMS difference of the blur radii of boards, in σ; cameras that are right have 1.4 (docs/use.md).
 const BLUR_STD_DEVS: f64 = 3.0;
 const BLUR_STD_DEVS_WRONG: f64 = 8.0;
-/// The scale of the squares is within 0.04 % of 1 for calibrated cameras, through real lenses too (docs/use.md); distances are off by
-/// as much as the squares.
+/// Largest deviation of the scale of the squares from 1. Calibrated cameras, through real lenses too, are within 0.04 %
+/// (docs/use.md); the error of distances equals the error of the squares.
 const SCALE: f64 = 0.003;
 const SCALE_WRONG: f64 = 0.01;
-/// A scale counts where it is so many σ from 1.
+/// Smallest deviation of a scale from 1 that counts, in σ.
 const SURE: f64 = 5.0;
 
-/// Micro-image centres of a camera against those of white images: root mean square and mean differences, px.
+/// Compares the micro-image centres of a camera with those of white images: root mean square and mean difference, px.
 pub(crate) fn centers(rms_px: f64, shift_px: [f64; 2], pitch_px: f64) -> Option<Finding> {
     (rms_px > CENTERS_PX).then(|| {
         let issue = Issue::CentersContradicted { rms_px, shift_px, pitch_px };
@@ -36,7 +36,7 @@ pub(crate) fn centers(rms_px: f64, shift_px: [f64; 2], pitch_px: f64) -> Option<
     })
 }
 
-/// Blur radii of the lens types, px, by white images and by a camera.
+/// Compares the blur radii of the lens types, px, in white images and in a camera.
 pub(crate) fn lens_types(white_images_px: &[f64], camera_px: &[f64]) -> Option<Finding> {
     let off = |order: &[usize]| {
         let pairs = white_images_px.iter().zip(order);
@@ -61,7 +61,7 @@ pub(crate) fn lens_types(white_images_px: &[f64], camera_px: &[f64]) -> Option<F
     Some(Finding::new(severity, issue).weighing(40.0 * part / BLUR))
 }
 
-/// All orders of a few numbers.
+/// Returns all orders of a few numbers.
 fn permutations(count: usize) -> Vec<Vec<usize>> {
     (0..count).fold(vec![Vec::new()], |orders, next| {
         let with = |order: &Vec<usize>| {
@@ -76,13 +76,13 @@ fn permutations(count: usize) -> Vec<Vec<usize>> {
     })
 }
 
-/// The f-number that a camera was calibrated at, and that of the boards it is used with.
+/// Compares the f-number that a camera was calibrated at with the f-number of the boards.
 pub(crate) fn f_number(camera: f64, boards: f64) -> Option<Finding> {
     ((boards / camera - 1.0).abs() > F_NUMBER)
         .then(|| Finding::caution(Issue::OtherFNumber { camera, boards }))
 }
 
-/// Blur radii of boards against a fixed camera: root mean square of the differences over their σ.
+/// Compares blur radii of boards with a fixed camera: root mean square of the differences over their σ.
 pub(crate) fn blur(rms_std_devs: f64) -> Option<Finding> {
     (rms_std_devs > BLUR_STD_DEVS).then(|| {
         let severity = severity_above(rms_std_devs, BLUR_STD_DEVS_WRONG);
@@ -91,7 +91,7 @@ pub(crate) fn blur(rms_std_devs: f64) -> Option<Finding> {
     })
 }
 
-/// The scale of the squares of a board by which boards fit a fixed camera best.
+/// Checks the scale of the squares with which boards fit a fixed camera best.
 pub(crate) fn squares(scale: &Estimate, square_mm: f64) -> Option<Finding> {
     let off = (scale.value - 1.0).abs();
     (off > SCALE && off > SURE * scale.std_dev).then(|| {
@@ -101,10 +101,10 @@ pub(crate) fn squares(scale: &Estimate, square_mm: f64) -> Option<Finding> {
     })
 }
 
-/// How far beyond the boards of a calibration its camera is trusted, as a part of their distance.
+/// Range beyond the boards of a calibration in which its camera is trusted, as a part of their distance.
 const BEYOND: f64 = 0.2;
 
-/// Distances of points or rays against the nearest and furthest board of a calibration.
+/// Comparison of the distances of points or rays with the nearest and furthest board of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DistanceCheck {
     near_mm: f64,
@@ -114,7 +114,7 @@ pub struct DistanceCheck {
 }
 
 impl DistanceCheck {
-    /// Begins with the distances of the nearest and the furthest board, mm.
+    /// Creates the check from the distances of the nearest and the furthest board, mm.
     #[must_use]
     pub fn new([near_mm, far_mm]: [f64; 2]) -> Self {
         Self { near_mm, far_mm, all: 0, beyond: 0 }
@@ -127,7 +127,7 @@ impl DistanceCheck {
         self.beyond += usize::from(!trusted.contains(&distance_mm));
     }
 
-    /// The finding if some of the distances lie far off the boards.
+    /// Returns the finding if some of the distances lie far from the boards.
     #[must_use]
     pub fn finding(&self) -> Option<Finding> {
         let Self { near_mm, far_mm, all, beyond } = *self;
@@ -135,11 +135,11 @@ impl DistanceCheck {
     }
 }
 
-/// Scatter of the features of corners about their points, over their σ: 1.1 to 1.2 on simulated boards.
+/// Largest scatter of the features of corners about their points, over their σ; simulated boards have 1.1 to 1.2.
 const CORNERS: f64 = 2.0;
 const CORNERS_WRONG: f64 = 5.0;
 
-/// The scatter of the features of corners about their points, over their σ.
+/// Checks the scatter of the features of corners about their points, over their σ.
 pub(crate) fn corners(ratio: f64) -> Option<Finding> {
     (ratio > CORNERS).then(|| {
         let severity = severity_above(ratio, CORNERS_WRONG);

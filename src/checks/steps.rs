@@ -3,21 +3,21 @@
 use crate::finding::{Finding, Issue};
 use crate::numerics::{mean_and_std_dev, median};
 
-/// A step that differs by more than this from the typical one is no step of the series.
+/// Relative difference from the typical step above which a step does not belong to the series.
 const UNEVEN: f64 = 0.3;
-/// Steps that are more than this off, and more than so many of their σ, contradict the scale.
+/// Smallest relative error of the steps that contradicts the scale, and the same in σ.
 const SCALE: f64 = 0.01;
 const SCALE_STD_DEVS: f64 = 3.0;
 
-/// A step between two frames: the measured length over the known one.
+/// Step between two frames: the measured length over the known one.
 pub(crate) struct Step {
     pub from: u32,
     pub to: u32,
     pub ratio: f64,
 }
 
-/// Findings about the steps of a translation: `whole` is the ratio of the whole way, `reversed` whether the board moved the
-/// other way, `step_mm` the known step, and `square_mm` the edge of the squares.
+/// Checks the steps of a translation. `whole` is the ratio of the whole way, `reversed` is true if the board moved the other
+/// way, `step_mm` is the known step, and `square_mm` the edge of the squares.
 pub(crate) fn steps(
     steps: &[Step],
     whole: f64,
@@ -28,7 +28,7 @@ pub(crate) fn steps(
     if reversed {
         issues.push(Issue::StepsReversed);
     }
-    // Images that are out of order hardly change the whole way.
+    // Images in the wrong order hardly change the whole way.
     let of_steps = || median(steps.iter().map(|step| step.ratio)).unwrap_or(whole);
     let typical = if (whole - 1.0).abs() < UNEVEN { 1.0 } else { of_steps() };
     let is_uneven = |step: &&Step| steps.len() > 2 && (step.ratio / typical - 1.0).abs() > UNEVEN;

@@ -2,56 +2,55 @@
 
 use crate::finding::{Finding, Issue};
 
-/// A radius that is this part away from the radius of its f-number is the sign of another f-number: half a stop at f/4 changes
-/// a radius by 10 %.
+/// Smallest relative difference of a radius from the radius of its f-number that shows another f-number. Half a stop at f/4
+/// changes a radius by 10 %.
 const APERTURE: f64 = 0.05;
-/// Part of the micro-images that agrees with its lens type where nothing is wrong.
+/// Smallest part of the micro-images that agrees with its lens type if nothing is wrong.
 const AGREEMENT: f64 = 0.9;
-/// Images with this part of their pixels full are over-exposed.
+/// Part of saturated pixels above which an image is over-exposed.
 pub(crate) const MOSTLY_FULL: f64 = 0.85;
-/// Arrays are this regular, root mean square in pitches: real ones that were measured to 0.012.
+/// Largest RMS irregularity of an array, in pitches; real arrays have up to 0.012.
 const IRREGULAR: f64 = 0.025;
-/// A pitch along one direction equals the pitch across it within this part, where pixels are square: four real arrays were
-/// measured to 0.6, 0.7, 1.5 and 3.5 in 10⁴.
+/// Largest relative difference of the pitch along two directions, if pixels are square; four real arrays have 0.6, 0.7, 1.5 and
+/// 3.5 in 10⁴.
 const STRETCHED: f64 = 1e-3;
-/// In a white image all but this part of the micro-images are about as bright as their neighbours.
+/// Largest part of the micro-images of a white image that are not about as bright as their neighbours.
 const UNEVEN: f64 = 0.03;
-/// How much narrower micro-images may be at the corners of the image, as a part of their width. Real lenses at their
-/// full aperture have 0 to 0.01 without a second stop.
+/// Largest relative decrease of the width of micro-images at the corners of the image. Real lenses at their full aperture have
+/// 0 to 0.01 without a second stop.
 const NARROW: f64 = 0.02;
-/// It counts where it is so many σ from none.
+/// Smallest decrease that counts, in σ.
 const SURE: f64 = 5.0;
-/// How far off m and q' are by straight lines through the radii with f-numbers 2 % off at random, relative
-/// (docs/accuracy.md).
+/// Relative errors of m and q' from straight lines through the radii, if f-numbers are 2 % off at random (docs/accuracy.md).
 pub(crate) const BY_LINES: (f64, f64) = (0.06, 0.03);
 
-/// Where the darkest places have less than this part of the light of the micro-images, the black level does not matter.
+/// Light of the darkest points, as a part of the light of the micro-images, below which the black level does not matter.
 const HARMLESS: f64 = 0.01;
-/// A stated black level is wrong if it is off by more than so many σ and so many grey levels. Stray light may make the
-/// darkness brighter, by as much as does not matter.
+/// Difference of a stated black level, in σ and in grey levels, above which it is wrong. Stray light may brighten the darkest
+/// points by up to `HARMLESS`.
 const BLACK_STD_DEVS: f64 = 3.0;
 const BLACK_SLACK: f64 = 0.5;
-/// Powers this close to 1 are linear: on simulated cameras discs tell them to 0.01, with JPEG to 0.03, and with a point
-/// spread as wide as half the narrowest blur to 0.06. At this limit q' has an error of up to 2 %.
+/// Largest deviation from 1 of the power of linear samples. On simulated cameras discs give it to 0.01, with JPEG to 0.03, and
+/// with a point spread as wide as half the narrowest blur to 0.06. At this limit q' has an error of up to 2 %.
 pub(crate) const LINEAR: f64 = 0.08;
-/// Where noise hides more, so many σ are linear.
+/// Largest deviation of the power from 1, in σ, if noise makes it uncertain.
 const LINEAR_STD_DEVS: f64 = 3.0;
 
-/// The darkest places of a white image, as parts of full scale.
+/// Darkest points of a white image, as parts of full scale.
 pub(crate) struct Darkest {
-    /// Their mean sample.
+    /// Mean sample.
     pub level: f64,
-    /// Its σ.
+    /// Standard deviation of the mean sample.
     pub std_dev: f64,
-    /// The light of the micro-images above it.
+    /// Light of the micro-images above this sample.
     pub light: f64,
     /// Step from one sample to the next.
     pub grey_level: f64,
-    /// No light reaches them. Else micro-images touch, and the black level is below.
+    /// True if no light reaches them. Otherwise micro-images touch, and the black level is below.
     pub is_dark: bool,
 }
 
-/// A stated black level, grey levels of `full`, against the darkest places of an image.
+/// Compares a stated black level, in grey levels of `full`, with the darkest points of an image.
 pub(crate) fn black_level(
     stated: f64,
     full: f64,
@@ -67,7 +66,7 @@ pub(crate) fn black_level(
     })
 }
 
-/// A black level that is neither stated nor shows in any image, and would change them.
+/// Finds a black level that is neither stated nor shown by any image, although it matters.
 pub(crate) fn black_level_unknown<'d>(
     mut all: impl Iterator<Item = &'d Darkest>,
 ) -> Option<Finding> {
@@ -75,18 +74,18 @@ pub(crate) fn black_level_unknown<'d>(
     all.all(matters).then(|| Finding::caution(Issue::BlackLevelUnknown))
 }
 
-/// Whether samples are linear in light, which is their power of 1 + `exponent`.
+/// Returns true if samples are linear in light; light is their power of 1 + `exponent`.
 pub(crate) fn is_linear(exponent: f64, std_dev: f64) -> bool {
     exponent.abs() <= LINEAR.max(LINEAR_STD_DEVS * std_dev)
 }
 
-/// An angular response that white images do not show.
+/// Returns the finding that white images do not show the angular response.
 pub(crate) fn response_unknown() -> Finding {
     Finding::caution(Issue::ResponseUnknown)
 }
 
-/// The radius of micro-images of type 1, and what it should be at the f-number of the image; `looks_like` is the f-number of
-/// the radius.
+/// Compares the radius of micro-images of type 1 with the radius expected at the f-number of the image; `looks_like` is the
+/// f-number of the measured radius.
 pub(crate) fn aperture(
     f_number: f64,
     radius_px: f64,
@@ -103,32 +102,32 @@ pub(crate) fn aperture(
     })
 }
 
-/// The part of the micro-images that has the size of its lens type.
+/// Checks the part of the micro-images that has the size of its lens type.
 pub(crate) fn lens_types(agreement: Option<f64>) -> Option<Finding> {
     let agreement = agreement.filter(|agreement| *agreement < AGREEMENT)?;
     Some(Finding::caution(Issue::LensTypesDisagree { agreement }))
 }
 
-/// By which part of their width micro-images at the corners are narrower towards the middle, with σ.
+/// Checks the relative decrease of the width of micro-images at the corners along the direction to the middle, with σ.
 pub(crate) fn roundness((narrower, std_dev): (f64, f64)) -> Option<Finding> {
     (narrower > NARROW && narrower > SURE * std_dev)
         .then(|| Finding::caution(Issue::ObliquePupil { narrower }))
 }
 
-/// m and q' by straight lines, for want of discs.
+/// Returns the finding that m and q' are from straight lines, for lack of discs.
 pub(crate) fn no_discs() -> Finding {
     let (m_error, q_prime_error) = BY_LINES;
     Finding::caution(Issue::NoDiscs { m_error, q_prime_error })
 }
 
-/// Samples that are not linear in light, which is their power of `power`.
+/// Returns the finding that samples are not linear in light, which is their power of `power`.
 pub(crate) fn not_linear(power: f64) -> Finding {
     Finding::caution(Issue::NotLinear { power })
 }
 
-/// An image that is no white image, over-exposed, or not regular: the part of its micro-images that are not as bright as
-/// their neighbours, the root mean square distance from the grid, how much longer the lattice is along one direction, and the
-/// part of the pixels that are full.
+/// Finds an image that is no white image, over-exposed, or not regular. The values are the part of its micro-images that are
+/// not as bright as their neighbours, the root mean square distance from the grid, the relative stretch of the lattice along
+/// one direction, and the part of saturated pixels.
 pub(crate) fn array(
     uneven: f64,
     (rms_px, pitch_px): (f64, f64),

@@ -1,4 +1,4 @@
-//! Boards in the images of a project: what `detect`, `extrinsics`, `evaluate` and `run` share.
+//! Detection of boards in the images of a project, shared by `detect`, `extrinsics`, `evaluate` and `run`.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -16,17 +16,17 @@ use plenocal::{Error, Finding, Issue, Result, report};
 use super::messages::announce_memory;
 use super::progress;
 
-/// What the search takes for each pixel beside the images, bytes: 5 were measured on images of 12.5 MP.
+/// Memory of the search per pixel, without the images, bytes: 5 were measured on images of 12.5 MP.
 const WORK_BYTES: f64 = 6.0;
 
-/// What a project says about a camera and its images.
+/// Camera, board and images of a project.
 pub struct Shoot {
     pub sheet: Datasheet,
     pub board: Board,
     pub images: ImagesSection,
 }
 
-/// The images of a subset.
+/// Returns the images of a subset.
 pub fn images_of(subset: Subset, images: &ImagesSection) -> &[PathBuf] {
     match subset {
         Subset::Calibration => &images.calibration,
@@ -36,7 +36,7 @@ pub fn images_of(subset: Subset, images: &ImagesSection) -> &[PathBuf] {
 }
 
 impl Shoot {
-    /// Takes it from a project; an error names the table that is missing or wrong.
+    /// Creates it from a project; an error names the table that is missing or wrong.
     pub fn of(path: &Path, project: &Project) -> Result<Self> {
         let sheet = camera_of(path, project)?;
         let board = project
@@ -48,17 +48,17 @@ impl Shoot {
         Ok(Self { sheet, board, images })
     }
 
-    /// For each image of a subset, an earlier one that is the same; for those of the evaluation also one of the
-    /// calibration.
+    /// Returns for each image of a subset the name of an earlier identical image, if there is one. Images of the evaluation are
+    /// also compared with images of the calibration.
     pub fn repeated(&self, subset: Subset) -> Vec<Option<String>> {
         let before: &[PathBuf] =
             if subset == Subset::Evaluation { &self.images.calibration } else { &[] };
         io::repeated(before, images_of(subset, &self.images))
     }
 
-    /// The devignetting image, or else the white image at the f-number of the boards.
+    /// Returns the devignetting image or, without one, the white image at the f-number of the boards.
     pub fn white_image(&self) -> Result<PathBuf> {
-        // f/11 is engraved for f/11.31, f/22 for f/22.63.
+        // The engraved f-numbers are rounded: f/11 is f/11.31, f/22 is f/22.63.
         const SAME_STOP: f64 = 0.04;
         if let Some(path) = &self.images.devignetting {
             return Ok(path.clone());
@@ -85,8 +85,8 @@ impl Shoot {
         )))
     }
 
-    /// The micro-images and internal parameters from a folder written by `precalibrate`; an error if it belongs to another
-    /// camera, or to another black level than the project states.
+    /// Reads the micro-images and internal parameters from a folder written by `precalibrate`. An error if they belong to
+    /// another camera, or if the project states another black level.
     pub fn read_precalibration(&self, folder: &Path) -> Result<(MicroImages, InternalParameters)> {
         const STAGE: &str = "precalibration";
         let (internal, centers) = (folder.join("precalibration.json"), folder.join("centers.csv"));
@@ -122,7 +122,7 @@ impl Shoot {
     }
 }
 
-/// The camera of a project; an error names what is missing or wrong.
+/// Returns the camera of a project; an error names what is missing or wrong.
 pub fn camera_of(path: &Path, project: &Project) -> Result<Datasheet> {
     let sheet = project.datasheet().map_err(|e| e.in_file(path))?.ok_or_else(|| {
         Error::invalid("there is no camera in it: add [sensor], [main_lens] and [micro_lens_array]")
@@ -132,24 +132,24 @@ pub fn camera_of(path: &Path, project: &Project) -> Result<Datasheet> {
     Ok(sheet)
 }
 
-/// The images that a project lists; if it lists none, an error says what to add.
+/// Returns the images that a project lists; if it lists none, an error says what to add.
 pub fn listed_images(path: &Path, project: &Project, add: &str) -> Result<ImagesSection> {
     project.images.clone().ok_or_else(|| {
         Error::invalid(format!("it lists no images: add [images] with {add}")).in_file(path)
     })
 }
 
-/// How boards are searched for.
+/// Options of the search for boards.
 #[derive(Clone, Copy)]
 pub struct Options {
     pub subset: Subset,
     pub estimator: DepthEstimator,
     pub pictures: bool,
-    /// No progress bar.
+    /// True if no progress bar is shown.
     pub quiet: bool,
 }
 
-/// The picture of a frame.
+/// Creates the figure of a frame.
 fn picture(frame: &DetectedFrame, svg: String) -> Figure {
     let DetectedFrame { frame, name, .. } = frame;
     Figure {
@@ -165,8 +165,8 @@ fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Detects the features of a subset and stages features.csv, detection.json and the pictures. An
-/// error if no frame shows the board. The pictures come back too.
+/// Detects the features of a subset, stages features.csv, detection.json and the pictures, and returns features and pictures.
+/// An error if no frame shows the board.
 pub fn detect_subset(
     path: &Path,
     shoot: &Shoot,
@@ -214,7 +214,7 @@ pub fn detect_subset(
         })
         .collect();
     let bar = progress::steps(options.quiet, images.len(), "searching for boards");
-    // Pictures are drawn while the image is in memory.
+    // An image stays in memory only until its frame is done.
     let pictures: Mutex<Vec<(u32, Figure)>> = Mutex::default();
     let draw = |frame: &DetectedFrame, image: Option<&RawImage>| {
         if let (true, Ok(detection), Some(image)) = (options.pictures, &frame.result, image) {
@@ -250,7 +250,7 @@ pub fn detect_subset(
     Ok((found, pictures))
 }
 
-/// Why no frame shows the board, where all are left out for one reason; else what may be wrong.
+/// Returns the reason why no frame shows the board, if all frames have the same one; otherwise what to check.
 fn no_board(found: &DetectedBoards) -> String {
     let reasons = || found.frames.iter().filter_map(|frame| frame.result.as_ref().err());
     let Some(first) =

@@ -1,4 +1,4 @@
-//! `plenocal calibrate`: from observations to a camera.
+//! `plenocal calibrate`: estimates a camera from observations.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -24,7 +24,7 @@ use super::progress;
 ///
 /// Give a project file, or individual files, or both: individual files take precedence over the
 /// project. Files are recognised by their content, so plenocal's own and COMPOTE's can be mixed.
-// Parameter names in the help are not code. Every flag is an option of its own.
+// Parameter names in the help are not code, and every flag is a separate option.
 #[allow(clippy::doc_markdown, clippy::struct_excessive_bools)]
 #[derive(Args)]
 #[command(after_help = EXAMPLES, allow_negative_numbers = true)]
@@ -52,27 +52,27 @@ pub struct Arguments {
     /// centres too.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     features: Option<PathBuf>,
-    /// Poses of the boards to start from (poses.json, COMPOTE's poses.js); those of other frames are found.
+    /// Initial poses of the boards (poses.json, COMPOTE's poses.js); poses of other frames are estimated.
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     poses: Option<PathBuf>,
     /// Replace a value of the project, e.g. calibration.extrapolate=false; may be repeated.
     #[arg(long, value_name = "KEY=VALUE", help_heading = "Input")]
     set: Vec<String>,
 
-    /// Set of options to begin with; options beside it take precedence [default: full].
+    /// Set of options to begin with; individual options take precedence [default: full].
     #[arg(long, help_heading = "Estimation")]
     method: Option<Method>,
     #[command(flatten, next_help_heading = "Estimation")]
     options: Given<CalibrationOptions>,
-    /// The board has the shape that a calibration has found: its calibration.json. With --mode poses-only, that
-    /// beside the camera counts by itself if the board is the same.
+    /// File calibration.json of the calibration that estimated the shape of the board. With --mode poses-only, the file beside
+    /// the camera is used by default if the board is the same.
     #[arg(long, value_name = "FILE", conflicts_with = "board", help_heading = "Estimation")]
     board_shape: Option<PathBuf>,
-    /// What is known of the camera before any board is seen [default: default].
+    /// Default priors on the camera [default: default].
     #[arg(long, alias = "anchors", help_heading = "Estimation")]
     priors: Option<DefaultPriors>,
-    /// What you know of a parameter or of m, in the units of camera.json: F=50:0.5 for 50 mm to 0.5 mm, or
-    /// F=50:1%. Takes the place of a default prior; F=none removes it.
+    /// Prior on a parameter or on m, in the units of camera.json: F=50:0.5 for (50 ± 0.5) mm, or F=50:1%. It replaces a default
+    /// prior; F=none removes it.
     #[arg(
         long,
         alias = "anchor",
@@ -82,22 +82,21 @@ pub struct Arguments {
     )]
     prior: Vec<String>,
 
-    /// Do not refine: say how large cost, gradient and residuals are at the --camera and the --poses that you have
-    /// from elsewhere, and what one more step would gain. The cost is that of --problem; without it, that of the project and
-    /// the options given here, priors included.
+    /// Do not refine: print cost, gradient and residuals at the given --camera and --poses, and the gain of one more step. The
+    /// cost is taken from --problem or, without it, from the project and the options given here, priors included.
     #[arg(long, requires_all = ["camera", "poses"], conflicts_with_all = ["compare_models", "compote"], help_heading = "Estimation")]
     evaluate_only: bool,
-    /// Folder written by --export-problem. It has the observations, the board and the cost of the evaluation, so that neither
-    /// a project nor an option of the cost can be given beside it.
+    /// Folder written by --export-problem. It contains the observations, the board and the cost of the evaluation, so that
+    /// neither a project nor options of the cost can be given too.
     #[arg(long, value_name = "DIR", requires = "evaluate_only", conflicts_with_all = IN_PROBLEM, help_heading = "Estimation")]
     problem: Option<PathBuf>,
 
-    /// Also write the problem that was solved to this folder: observations with board coordinates and standard deviations, start,
-    /// priors, loss, fixed parameters; for a Ceres program of your own.
+    /// Also write the solved problem to this folder, for a Ceres program of your own: observations with board coordinates and
+    /// standard deviations, initial values, priors, loss, fixed parameters.
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     export_problem: Option<PathBuf>,
-    /// Say what exit pupil, field curvature and distortion are worth: calibrate without each, and compare by
-    /// frames that took no part.
+    /// Compare models without exit pupil, field curvature and distortion: calibrate without each, and evaluate on frames that
+    /// were left out.
     #[arg(long, help_heading = "Output")]
     compare_models: bool,
     /// Print the result as one JSON object instead of tables.
@@ -108,7 +107,7 @@ pub struct Arguments {
     compote: bool,
 }
 
-/// Arguments for what an exported problem has.
+/// Arguments that an exported problem replaces.
 const IN_PROBLEM: [&str; 24] = [
     "project",
     "params",
@@ -136,13 +135,13 @@ const IN_PROBLEM: [&str; 24] = [
     "loss_scale",
 ];
 
-/// Whether there are default priors.
+/// Set of default priors.
 #[derive(Clone, Copy, ValueEnum)]
 enum DefaultPriors {
-    /// The focal length of the datasheet to 3 %, m of the white images to 2 %, the axis in the middle of the sensor to
-    /// 0.5 mm.
+    /// Focal length of the datasheet to 3 %, m of the white images to 2 %, principal point in the middle of the sensor to 0.5
+    /// mm.
     Default,
-    /// Only what --prior states.
+    /// Only the priors given with --prior.
     None,
 }
 
@@ -161,7 +160,7 @@ Examples:
   plenocal calibrate --mode poses-only --camera results/camera.json --scene scene.js \\
       --features evaluation.csv --out poses";
 
-/// Folds in which models are compared.
+/// Number of folds of the comparison of models.
 const FOLDS: usize = 5;
 
 /// Runs the command.
@@ -233,7 +232,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     Ok(status(&calibration, &assessment.findings))
 }
 
-/// Compares models in at most so many folds, with a progress bar.
+/// Compares models in at most `folds` folds, with a progress bar.
 pub(super) fn compared(
     calibration: &Calibration,
     board: &Board,
@@ -268,7 +267,7 @@ pub(super) fn status(calibration: &Calibration, findings: &[Finding]) -> ExitCod
     ExitCode::from(status)
 }
 
-/// Whether a calibration has estimated a camera; with poses only, it is unchanged.
+/// Returns true if the calibration estimated a camera; with poses only, the camera is unchanged.
 fn has_camera(calibration: &Calibration) -> bool {
     !calibration.uncertainty.free_intrinsics.is_empty()
 }
@@ -306,7 +305,7 @@ pub(super) fn stage_results(
     output.stage("solver.txt", |out| out.write_all(calibration.refinement.report.as_bytes()))
 }
 
-/// The values of `--set`, and `--method` as one more.
+/// Returns the values of `--set`, with `--method` as the last of them.
 pub(super) fn with_method(set: &[String], method: Option<Method>) -> Vec<String> {
     let name = method.and_then(|method| method.to_possible_value());
     let method = name.map(|name| format!("calibration.method={}", name.get_name()));
@@ -323,14 +322,14 @@ impl Arguments {
         }
     }
 
-    /// All that a calibration takes, by the project and the flags.
+    /// Reads all inputs of a calibration, from the project and the flags.
     fn input(&self) -> Result<Input> {
         let project = self.project()?;
         let options = self.options_over(project.calibration.clone())?;
         Input::read(&self.files(), &project, options)
     }
 
-    /// Evaluates the cost at the camera and the poses in these files.
+    /// Evaluates the cost at the camera and the poses in the given files.
     fn evaluate(&self, (camera, poses): (&Path, &Path), output: cost::Output) -> Result<ExitCode> {
         let solution = cost::solution(camera, poses)?;
         if let Some(problem) = &self.problem {
@@ -348,7 +347,7 @@ impl Arguments {
         cost::of_project(&solution, &folders, &input, output)
     }
 
-    /// Options, overridden by the flags.
+    /// Returns the options, overridden by the flags.
     fn options_over(&self, mut options: CalibrationOptions) -> Result<CalibrationOptions> {
         self.options.apply(&mut options)?;
         match self.priors {

@@ -1,4 +1,4 @@
-//! `plenocal compare`: two calibrations of one camera.
+//! `plenocal compare`: compares two calibrations of one camera.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -12,10 +12,11 @@ use plenocal::{Error, Result, report};
 use super::evaluate::calibrated;
 use super::messages::{print_result, shown, tell};
 
-/// Compare two calibrated cameras: parameters in standard deviations, and what they see.
+/// Compare two calibrated cameras: differences of parameters in standard deviations, and of projected points.
 ///
-/// Two calibrations may have other numbers and see the same: parameters trade off, and their camera frames may be a
-/// rigid motion apart. That motion is fitted and told, and what is left is the difference, in pixels and mm, by distance.
+/// Two calibrations with different parameters may project alike: parameters compensate each other, and the camera frames may
+/// differ by a rigid motion. This motion is fitted and printed. The remaining difference is given in pixels and mm, by
+/// distance.
 // Names in the help are not code.
 #[allow(clippy::doc_markdown)]
 #[derive(Args)]
@@ -23,11 +24,12 @@ use super::messages::{print_result, shown, tell};
 pub struct Arguments {
     /// First camera (camera.json, COMPOTE's intrinsics.js).
     first: PathBuf,
-    /// Second camera, likewise.
+    /// Second camera, in the same formats.
     second: PathBuf,
     #[arg(long, value_name = "DIR", help = results_help!("comparison.json and a picture for each distance, which otherwise are only printed"))]
     out: Option<PathBuf>,
-    /// Distances from the main lens of the first camera, mm [default: 0.75, 1 and 1.5 times that to which it is focused].
+    /// Distances from the main lens of the first camera, mm [default: 0.75, 1 and 1.5 times the distance of the plane in
+    /// focus].
     #[arg(long, value_name = "MM", value_delimiter = ',')]
     at: Option<Vec<f64>>,
     /// Print the result as one JSON object instead of tables.
@@ -40,7 +42,7 @@ Examples:
   plenocal compare results/calibration/camera.json truth/camera.json
   plenocal compare camera.json intrinsics.js --at 300,450,900 --out comparison";
 
-/// Distances in units of that to which the camera is focused.
+/// Default distances in units of the distance of the plane in focus.
 const AT: [f64; 3] = [0.75, 1.0, 1.5];
 
 /// Runs the command.
@@ -78,7 +80,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A camera with σ of its parameters; COMPOTE's files have none.
+/// Reads a camera with the standard deviations of its parameters; COMPOTE's files have none.
 fn with_std_devs(path: &Path) -> Result<(PlenopticCamera, Vec<Option<f64>>)> {
     let camera = calibrated(path)?;
     let std_devs = io::read_std_devs(path, camera.lens_types())?;

@@ -10,7 +10,7 @@ use plenocal::Result;
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
-    /// The shell.
+    /// Shell for which the script is written.
     shell: Shell,
 }
 

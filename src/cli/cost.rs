@@ -1,4 +1,4 @@
-//! `plenocal calibrate --evaluate-only`: the cost at a solution from elsewhere.
+//! `plenocal calibrate --evaluate-only`: evaluates the cost at a solution of another program.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,18 +17,18 @@ use super::evaluate::calibrated;
 use super::input::{Input, located};
 use super::messages::{print_result, shown, tell};
 
-/// Where the results of an evaluation go.
+/// Destination of the results of an evaluation.
 pub(super) struct Output {
     /// Folder of cost.json and residuals.csv.
     pub results: OutputFolder,
-    /// Folder of the problem, if it is wanted.
+    /// Folder of the exported problem; `None` without export.
     pub export: Option<OutputFolder>,
-    /// Whether one JSON object is printed instead of tables.
+    /// True if one JSON object is printed instead of tables.
     pub json: bool,
 }
 
-/// Evaluates the cost of a project at a solution. If that is no minimum and a problem lies beside the solution, the differences
-/// between both costs are reported.
+/// Evaluates the cost of a project at a solution. If the solution is no minimum and a problem lies beside it, a finding reports
+/// the differences between both costs.
 pub(super) fn of_project(
     solution: &Solution,
     folders: &[&Path],
@@ -47,8 +47,8 @@ pub(super) fn of_project(
     write(&evaluated, &input.board, output, begun)
 }
 
-/// Evaluates the cost of a problem at a solution, whose board has the shape in the file `board_shape` if the problem leaves it
-/// free.
+/// Evaluates the cost of a problem at a solution. The shape of the board is read from `board_shape` if the problem estimates
+/// it.
 pub(super) fn of_problem(
     solution: &Solution,
     folder: &Path,
@@ -81,7 +81,7 @@ pub(super) fn of_problem(
     write(&evaluated, &board, output, begun)
 }
 
-/// Writes cost.json and residuals.csv, and the problem if it is wanted.
+/// Writes cost.json and residuals.csv, and the problem if it is exported.
 fn write(
     evaluated: &Calibration,
     board: &Board,
@@ -103,7 +103,7 @@ fn write(
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the problem that was solved, if it is wanted.
+/// Writes the solved problem if it is exported.
 pub(super) fn exported(
     to: Option<OutputFolder>,
     calibration: &Calibration,
@@ -114,7 +114,7 @@ pub(super) fn exported(
     output.commit()
 }
 
-/// The folder of a problem: that of the solution itself, the one above it, or one beside it if that is the only one.
+/// Returns the folder of a problem: the folder of the solution, the one above it, or the only one beside it.
 fn problem_beside(solution: &Path) -> Option<PathBuf> {
     let is_problem = |folder: &Path| folder.join(io::PROBLEM).is_file();
     let own = if solution.as_os_str().is_empty() { Path::new(".") } else { solution };
@@ -127,8 +127,8 @@ fn problem_beside(solution: &Path) -> Option<PathBuf> {
     beside.next().filter(|_| beside.next().is_none())
 }
 
-/// A finding with the differences between the cost of an evaluation and a problem. A problem that cannot be read is passed over,
-/// since nobody asked for it.
+/// Returns a finding with the differences between the cost of an evaluation and a problem. A problem that cannot be read is
+/// ignored, since the user did not name it.
 fn other_cost(evaluated: &Calibration, board: &Board, folder: &Path) -> Option<Finding> {
     let differences =
         io::read_problem(folder).ok()?.differences(&SolvedProblem::of(evaluated, board));
@@ -139,7 +139,7 @@ fn other_cost(evaluated: &Calibration, board: &Board, folder: &Path) -> Option<F
         .then(|| Finding::caution(Issue::OtherCost { problem, differences }).weighing(100.0))
 }
 
-/// The solution that is named on the command line.
+/// Reads the solution given on the command line.
 pub(super) fn solution(camera: &Path, poses: &Path) -> Result<Solution> {
     Ok(Solution { camera: calibrated(camera)?, poses: io::read_poses(poses)? })
 }

@@ -1,4 +1,4 @@
-//! `plenocal demo`: a simulated camera, from its images to a report.
+//! `plenocal demo`: simulates a camera and calibrates it from its images.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -12,7 +12,7 @@ use super::simulate;
 
 /// Simulate a small camera, calibrate it from its images, and compare the result with the truth.
 ///
-/// The images are those of `plenocal simulate --preset mini`; the rest is `plenocal run`.
+/// The images are the same as from `plenocal simulate --preset mini`; `plenocal run` does the rest.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {

@@ -1,4 +1,4 @@
-//! `plenocal detect`: from images of a board to BAP features.
+//! `plenocal detect`: finds BAP features in images of a board.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -16,8 +16,8 @@ use super::precalibrate::{measure, stage_centers};
 
 /// Detect the corners of a checkerboard in raw images automatically.
 ///
-/// What was found, and what was dropped and why, is listed frame by
-/// frame. A frame in which the board is not recognised is left out; the others are still used.
+/// The output lists for each frame what was found, what was dropped, and why. A frame without a recognised board is left out;
+/// the others are still used.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
@@ -25,14 +25,13 @@ pub struct Arguments {
     project: PathBuf,
     #[arg(long, value_name = "DIR", help = results_help!("features.csv, detection.json and a picture of every frame; without --precalibration also centers.csv and precalibration.json"))]
     out: PathBuf,
-    /// Folder written by `plenocal precalibrate`; without it the white images of the project are
-    /// measured first.
+    /// Folder written by `plenocal precalibrate`; without it, the white images of the project are measured first.
     #[arg(long, value_name = "DIR")]
     precalibration: Option<PathBuf>,
-    /// Which images of the project to search.
+    /// Subset of the images of the project to search.
     #[arg(long, default_value = "calibration")]
     subset: Subset,
-    /// How the virtual depth of a corner is estimated from the micro-images that show it.
+    /// Estimator of the virtual depth of a corner from the micro-images that show it.
     #[arg(long, default_value = "line")]
     estimator: DepthEstimator,
     /// Write no pictures.

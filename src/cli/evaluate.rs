@@ -1,4 +1,4 @@
-//! `plenocal evaluate`: a camera on boards that were not used in its calibration.
+//! `plenocal evaluate`: evaluates a camera on boards that were not used in its calibration.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -18,12 +18,10 @@ use super::input::{Files, Input, board_shape, camera_findings, camera_source};
 use super::messages::{print_result, shown, tell, verdict_status};
 use super::progress;
 
-/// Evaluate a camera: on boards not used in its calibration, on known displacements, against the truth,
-/// and by leaving frames out.
+/// Evaluate a camera on boards not used in its calibration, on known displacements, against the truth, and by cross-validation.
 ///
-/// The project supplies the boards of `evaluation` and `translation` (with the steps, and point
-/// clouds of the same displacement from other software), and the true camera of [truth]. What it does not
-/// list is not evaluated.
+/// The project supplies the boards of `evaluation` and `translation` (with the steps, and point clouds of the same displacement
+/// from other software), and the true camera of [truth]. Parts that it does not list are not evaluated.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
@@ -31,23 +29,23 @@ pub struct Arguments {
     project: PathBuf,
     #[arg(long, value_name = "DIR", help = results_help!("evaluation.json, and the features of each subset in its own folder"))]
     out: PathBuf,
-    /// Calibrated camera (camera.json, COMPOTE's intrinsics.js); may be repeated, to compare cameras.
+    /// Calibrated camera (camera.json, COMPOTE's intrinsics.js); may be repeated to compare cameras.
     #[arg(long, value_name = "FILE", required = true)]
     camera: Vec<PathBuf>,
     /// Folder written by `plenocal precalibrate`.
     #[arg(long, value_name = "DIR")]
     precalibration: PathBuf,
-    /// How the virtual depth of a corner is estimated.
+    /// Estimator of the virtual depth of a corner.
     #[arg(long, default_value = "line")]
     estimator: DepthEstimator,
-    /// The boards have the shape that a calibration has found: its calibration.json. Otherwise each camera has the
-    /// board of the calibration.json beside it if that is the same board, else a flat one.
+    /// File calibration.json of the calibration that estimated the shape of the boards. By default each camera uses the
+    /// calibration.json beside it if the board is the same; otherwise the board is flat.
     #[arg(long, value_name = "FILE")]
     board_shape: Option<PathBuf>,
-    /// The true camera, instead of the one in [truth].
+    /// True camera, instead of the one in [truth].
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
-    /// Number of folds: for each, calibrate once without its frames and reproject these.
+    /// Number of folds: calibrate once without the frames of each fold, and reproject these.
     #[arg(long, value_name = "K", requires = "features")]
     folds: Option<usize>,
     /// Features of the calibration boards, for --folds.
@@ -78,7 +76,7 @@ pub fn read_candidate(
     Ok(Candidate { name: name.to_owned(), camera, std_devs, board_shape, shape_std_devs })
 }
 
-/// Reads a calibrated camera; of a folder, an error with the cameras in it.
+/// Reads a calibrated camera; for a folder, an error names the cameras in it.
 pub fn calibrated(path: &Path) -> Result<PlenopticCamera> {
     if path.is_dir() {
         return Err(is_folder(path, &io::cameras_in(path)));
@@ -103,12 +101,12 @@ fn is_folder(path: &Path, cameras: &[PathBuf]) -> Error {
     Error::invalid(format!("it is a folder: {instead}")).in_file(path)
 }
 
-/// Counts points or rays that lie far off the boards that a camera was calibrated with; `None` if these are not known.
+/// Creates a check that counts points or rays far from the boards of the calibration; `None` if these distances are unknown.
 pub fn distance_check(camera: &Path) -> Result<Option<DistanceCheck>> {
     Ok(io::read_board_distances(camera)?.map(DistanceCheck::new))
 }
 
-/// Distances of the point clouds of a project, by frame.
+/// Reads the distances of the point clouds of a project, by frame.
 pub fn clouds(shoot: &Shoot) -> Result<Vec<(u32, f64)>> {
     let clouds = shoot.images.translation.iter().flat_map(|t| &t.clouds);
     (0..).zip(clouds).map(|(i, path)| Ok((i, io::read_point_cloud_distance(path)?))).collect()
@@ -132,7 +130,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         let found: Vec<Finding> = found.into_iter().map(about).collect();
         tell(&found);
         of_cameras.extend(found);
-        // Told when the camera was read.
+        // Already reported when the camera was read.
         of_cameras.extend(camera_findings(path)?);
     }
     let folds = match (arguments.folds, &arguments.features) {
@@ -212,7 +210,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     Ok(verdict_status(&evaluation.findings).unwrap_or(ExitCode::SUCCESS))
 }
 
-/// Evaluates with a progress bar for the folds.
+/// Evaluates cameras, with a progress bar for the folds.
 pub fn evaluated(candidates: &[Candidate], input: &EvaluationInput, quiet: bool) -> Evaluation {
     let folds = input.folds.as_ref().map_or(0, |folds| folds.count);
     let bar = progress::steps(quiet || folds == 0, folds, "calibrating without some frames");
@@ -221,7 +219,7 @@ pub fn evaluated(candidates: &[Candidate], input: &EvaluationInput, quiet: bool)
     evaluation
 }
 
-/// Cameras, named after their files, or after their folders where the file names are the same.
+/// Reads cameras, named after their files or, if the file names are equal, after their folders.
 fn candidates(paths: &[PathBuf], board: &Board, shape: Option<&Path>) -> Result<Vec<Candidate>> {
     let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let alike = |path: &Path| paths.iter().filter(|other| stem(other) == stem(path)).count() > 1;

@@ -1,4 +1,4 @@
-//! `plenocal extrinsics`: poses of boards with a calibrated camera.
+//! `plenocal extrinsics`: estimates poses of boards with a calibrated camera.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -35,14 +35,14 @@ pub struct Arguments {
     /// Folder written by `plenocal precalibrate`.
     #[arg(long, value_name = "DIR")]
     precalibration: PathBuf,
-    /// The board has the shape that a calibration has found: its calibration.json. Otherwise it is that of the
-    /// calibration.json beside the camera if the board is the same, else the board is flat.
+    /// File calibration.json of the calibration that estimated the shape of the board. By default it is the calibration.json
+    /// beside the camera if the board is the same; otherwise the board is flat.
     #[arg(long, value_name = "FILE")]
     board_shape: Option<PathBuf>,
-    /// Which images of the project to search.
+    /// Subset of the images of the project to search.
     #[arg(long, default_value = "evaluation")]
     subset: Subset,
-    /// How the virtual depth of a corner is estimated.
+    /// Estimator of the virtual depth of a corner.
     #[arg(long, default_value = "line")]
     estimator: DepthEstimator,
     /// Print the result as one JSON object instead of tables.

@@ -5,8 +5,8 @@ use std::marker::PhantomData;
 use clap::{ArgMatches, Args, Command, FromArgMatches};
 use plenocal::{Error, Result};
 
-/// The flags of a struct of options that were given on the command line. Flattened into the arguments of a command, it adds
-/// the flags of the struct, all of them optional.
+/// Flags that were given on the command line for a struct of options. Flattened into the arguments of a command, it adds the
+/// flags of the struct, all of them optional.
 pub struct Given<T> {
     matches: ArgMatches,
     options: PhantomData<T>,

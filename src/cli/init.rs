@@ -1,4 +1,4 @@
-//! `plenocal init`: from a folder of images to a project file.
+//! `plenocal init`: writes a project file for a folder of images.
 
 use std::ffi::OsStr;
 use std::fmt::Write as _;
@@ -17,14 +17,14 @@ use super::simulate::preset_names;
 
 /// Write a project file for a folder of images.
 ///
-/// Images are sorted by the names of folders and files. What the names, images, options and preset
-/// leave unknown becomes a comment in the file that says what to fill in.
+/// Images are sorted by the names of folders and files. For values that names, images, options and preset do not give, the file
+/// contains a comment that says what to fill in.
 #[derive(Args)]
 #[command(after_help = HELP, allow_negative_numbers = true)]
 pub struct Arguments {
     /// Folder with the images (PNG, TIFF, BMP, PGM, JPEG), searched with all its subfolders.
     images: PathBuf,
-    /// The project file to write.
+    /// Project file to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Replace the file if it exists.
@@ -37,17 +37,17 @@ pub struct Arguments {
     /// Focal length as engraved on the main lens.
     #[arg(long, value_name = "MM", value_parser = length, help_heading = "Camera")]
     focal_length: Option<f64>,
-    /// True f-number of the board images: 5.657 where 5.6 is engraved.
+    /// True f-number of the board images: 5.657 if 5.6 is engraved.
     #[arg(long, value_name = "N", value_parser = length, help_heading = "Camera")]
     f_number: Option<f64>,
     /// Focus distance from the sensor; inf for infinity.
     #[arg(long, value_name = "MM", value_parser = distance, help_heading = "Camera")]
     focus_distance: Option<f64>,
-    /// What the samples of the images stand for [default: found from the images where possible].
+    /// Meaning of the samples of the images [default: found from the images if possible].
     #[arg(long, help_heading = "Camera")]
     color: Option<Color>,
 
-    /// The checkerboard: inner corners along a row and along a column, and edge of a square in mm.
+    /// Checkerboard: inner corners along a row and along a column, and edge of a square in mm.
     #[arg(long, value_name = "CxRxMM", value_parser = board, help_heading = "Board")]
     board: Option<Board>,
     /// Motion between the images of a translation, mm; negative towards the camera.
@@ -152,8 +152,8 @@ fn datasheet(name: &str) -> Result<Datasheet> {
     Ok(Settings::preset(name, &[])?.datasheet())
 }
 
-/// Three channels are RGB. A single channel is grey where a white image shows no mosaic. Which
-/// mosaic it is cannot be found for certain from a white image.
+/// Returns the colour format, if it can be found: RGB for three channels, grey for a single channel whose white image shows no
+/// mosaic. A white image does not determine the kind of a mosaic for certain.
 fn found_color(images: &SortedImages, format: Option<CommonFormat>) -> Result<Option<Color>> {
     match format.and_then(|format| format.channels) {
         Some(Color::Grey) => {}

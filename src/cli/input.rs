@@ -1,4 +1,4 @@
-//! What a calibration reads: the files named individually, and the project for the rest.
+//! Input of a calibration: the files named individually, and the project for the rest.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ use plenocal::{Error, Finding, Result};
 
 use super::messages::{announce_calibration, tell};
 
-/// The files named on the command line.
+/// Files named on the command line.
 pub struct Files<'a> {
     pub project: Option<&'a Path>,
     pub camera: Option<&'a Path>,
@@ -19,17 +19,17 @@ pub struct Files<'a> {
     pub centers: Option<&'a Path>,
     pub features: Option<&'a Path>,
     pub board_shape: Option<&'a Path>,
-    /// Whether the camera is only to be evaluated: then the project has the start that defines the cost.
+    /// True if the camera is only evaluated; the project then has the start that defines the cost.
     pub evaluates: bool,
 }
 
-/// All that the calibration stage takes.
+/// Input of the calibration stage.
 pub struct Input {
     pub start: Start,
     pub board: Board,
     pub observations: Observations,
     pub options: CalibrationOptions,
-    /// Files of the features and the centres.
+    /// Paths of the features and the centres.
     sources: [PathBuf; 2],
 }
 
@@ -54,13 +54,13 @@ impl Input {
         Ok(Self { start, board, observations, options, sources })
     }
 
-    /// Names the file of an observation that is impossible, and its line.
+    /// Adds the file and the line of an impossible observation to an error.
     pub fn located(&self, error: Error) -> Error {
         located(error, &self.sources)
     }
 }
 
-/// Names the file of an observation that is impossible, and its line; the files are those of features and centres.
+/// Adds the file and the line of an impossible observation to an error, from the files of features and centres.
 pub fn located(error: Error, [features, centers]: &[PathBuf; 2]) -> Error {
     let Error::Observation { observation, .. } = &error else { return error };
     let path = match observation {
@@ -73,8 +73,8 @@ pub fn located(error: Error, [features, centers]: &[PathBuf; 2]) -> Error {
     }
 }
 
-/// An error if a shape of the board, which a file states, contradicts what the board is taken for, or if a bent board is
-/// asked for where only poses are estimated.
+/// Returns an error if a file states a shape of the board and the options contradict it, or if the options ask for a bent board
+/// and only poses are estimated.
 fn refuse_shape(stated: BoardModel, shape: Option<&Path>, mode: Mode) -> Result<()> {
     let word = match stated {
         BoardModel::Flat => "flat",
@@ -98,8 +98,8 @@ fn refuse_shape(stated: BoardModel, shape: Option<&Path>, mode: Mode) -> Result<
     Ok(())
 }
 
-/// The shape of a board with its σ that is stated, or that the calibration of a camera has found and left beside it; `None`
-/// if nothing is known.
+/// Reads the shape of a board with its σ: from the stated file, or from the calibration.json beside a camera. `None` if there
+/// is no shape.
 pub fn board_shape(
     stated: Option<&Path>,
     camera: Option<&Path>,
@@ -142,7 +142,7 @@ fn start(files: &Files, project: &Project, mode: Mode) -> Result<Start> {
     }
 }
 
-/// A camera or a datasheet, with warnings about a camera that should not be used.
+/// Reads a camera or a datasheet, and warns about a camera that should not be used.
 pub fn camera_source(path: &Path) -> Result<CameraSource> {
     let source = io::read_camera_source(path)?;
     if matches!(source, CameraSource::Camera(_)) {
@@ -151,7 +151,7 @@ pub fn camera_source(path: &Path) -> Result<CameraSource> {
     Ok(source)
 }
 
-/// Findings about the camera in a file; a project file gives none.
+/// Returns the findings about the camera in a file; a project file has none.
 pub fn camera_findings(path: &Path) -> Result<Vec<Finding>> {
     if path.extension().is_some_and(|extension| extension == "toml") {
         return Ok(Vec::new());
@@ -173,7 +173,7 @@ fn from_datasheet(mut sheet: Datasheet, files: &Files, project: &Project) -> Res
     Ok(Start::Datasheet(sheet, internal))
 }
 
-/// The observations, and the files of features and centres.
+/// Reads the observations, and returns them with the files of features and centres.
 fn observations(
     files: &Files,
     project: &Project,
@@ -185,8 +185,7 @@ fn observations(
         .or(section.map(|s| s.features.as_path()))
         .ok_or_else(|| missing(Part::Features))?;
     let mut observations = io::read_features(features, rho)?;
-    // A features file given on the command line may contain centres; those of the project then
-    // belong to other features.
+    // A features file given on the command line may contain centres; the centres of the project then belong to other features.
     let of_project = || section.and_then(|s| s.centers.as_deref());
     let separate = match files.centers {
         None if files.features.is_none() || observations.centers.is_empty() => of_project(),
@@ -202,7 +201,7 @@ fn observations(
         }
         observations.centers = io::read_centers(path)?;
     }
-    // Centres that have no file of their own are in that of the features.
+    // Centres without a file of their own are in the features file.
     let sources = [features, separate.unwrap_or(features)];
     Ok((observations, sources.map(Path::to_owned)))
 }

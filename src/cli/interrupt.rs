@@ -1,4 +1,4 @@
-//! Ctrl-C: removes unfinished output, and says so.
+//! Ctrl-C: removes unfinished output, and prints a message.
 
 use std::process::exit;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,12 +10,12 @@ use plenocal::io;
 use super::messages::say;
 use super::progress;
 
-/// The convention of shells: 128 plus the number of SIGINT.
+/// Exit status by the convention of shells: 128 plus the number of SIGINT.
 const INTERRUPTED: i32 = 130;
-/// How long a second interrupt lets the first remove files or finish a commit.
+/// Time that a second interrupt leaves the first to remove files or finish a commit.
 const GRACE: Duration = Duration::from_secs(2);
 
-/// From here on, SIGINT, SIGTERM and SIGHUP leave no half-written files.
+/// Installs the handler with which SIGINT, SIGTERM and SIGHUP leave no half-written files.
 pub fn handle() {
     static AGAIN: AtomicBool = AtomicBool::new(false);
     let handler = || {
@@ -24,11 +24,11 @@ pub fn handle() {
             say("interrupted again: temporary files (.plenocal-….tmp) may be left");
             exit(INTERRUPTED);
         }
-        // A thread of its own, so that a hanging file system does not block a second interrupt.
+        // A separate thread, so that a hanging file system does not block a second interrupt.
         thread::spawn(|| {
             let committed = io::abandon_output();
             progress::clear();
-            // Not eprintln!: it panics when nobody reads stderr, and the process would never end.
+            // Not eprintln!, which panics if nobody reads stderr: the process would never end.
             say(if committed {
                 "interrupted: what was written before is complete, and nothing else was written"
             } else {
@@ -37,6 +37,6 @@ pub fn handle() {
             exit(INTERRUPTED);
         });
     };
-    // Where a signal is ignored, as under nohup, it stays ignored.
+    // A signal that is ignored, as under nohup, stays ignored.
     let _ = ctrlc::try_set_handler(handler);
 }

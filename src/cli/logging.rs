@@ -1,4 +1,4 @@
-//! The log on stderr with -v.
+//! Log on stderr with -v.
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -9,7 +9,7 @@ use tracing_subscriber::fmt::time::uptime;
 
 use super::progress;
 
-/// From here on, logs to stderr at this level of detail; 0 for nothing.
+/// Starts the log on stderr with this level of detail; 0 for none.
 pub fn begin(verbosity: u8) {
     let level = match verbosity {
         0 => return,
@@ -28,7 +28,7 @@ pub fn begin(verbosity: u8) {
         .init();
 }
 
-/// Colours are for terminals, and not if `NO_COLOR` is set and not empty (<https://no-color.org>).
+/// Returns true if the log is coloured: on a terminal, unless `NO_COLOR` is set and not empty (<https://no-color.org>).
 fn is_coloured(terminal: bool, no_color: Option<OsString>) -> bool {
     terminal && no_color.is_none_or(|value| value.is_empty())
 }

@@ -1,4 +1,4 @@
-//! `plenocal man`: manual pages.
+//! `plenocal man`: writes manual pages.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -56,8 +56,7 @@ fn page(command: Command, out: &mut dyn Write) -> io::Result<()> {
     after_help.map_or(Ok(()), |text| sections(&text, out))
 }
 
-/// The text after the help, set line by line. Each paragraph is a section; its first line is the
-/// heading.
+/// Writes the text after the help line by line. Each paragraph is a section; its first line is the heading.
 fn sections(text: &str, out: &mut dyn Write) -> io::Result<()> {
     let mut roff = Roff::new();
     for paragraph in text.split("\n\n") {

@@ -1,4 +1,4 @@
-//! What the program says: results on stdout, everything else on stderr.
+//! Messages of the program: results on stdout, everything else on stderr.
 
 use std::collections::BTreeSet;
 use std::fmt::Display;
@@ -17,19 +17,19 @@ use serde::Serialize;
 
 use super::progress;
 
-// Colours are left out where the stream is not a terminal, or `NO_COLOR` is set.
+// Colours are omitted if the stream is not a terminal, or if `NO_COLOR` is set.
 const GOOD: Style = AnsiColor::Green.on_default().bold();
 const CARE: Style = AnsiColor::Yellow.on_default().bold();
 const BAD: Style = AnsiColor::Red.on_default().bold();
 
-/// Writes a line to stderr. It is not an error if nobody reads it.
+/// Writes a line to stderr. A closed stderr is not an error.
 pub fn say(line: &str) {
     progress::above(|| {
         let _ = writeln!(anstream::stderr(), "{line}");
     });
 }
 
-/// A result, with its verdict in colour if it begins with one.
+/// Returns a result with its verdict in colour, if it begins with one.
 fn coloured(text: &str) -> String {
     let (first, rest) = text.split_at(text.find('\n').unwrap_or(text.len()));
     let style = match first.strip_prefix("Verdict: ") {
@@ -41,30 +41,29 @@ fn coloured(text: &str) -> String {
     format!("{style}{first}{style:#}{rest}")
 }
 
-/// What takes more than this of memory, or on disk, is announced beforehand.
+/// Size in memory or on disk above which it is announced, bytes.
 const ANNOUNCED_BYTES: f64 = 1e9;
 
-/// Says that a file of so many bytes is going to be written, if it is large.
+/// Announces the size of a file before it is written, if it is large.
 pub fn announce_file(name: &str, bytes: f64) {
     if bytes > ANNOUNCED_BYTES {
         say(&format!("writing {name} of {:.1} GB", bytes / 1e9));
     }
 }
 
-/// Says that work is going to take so many bytes of memory, if they are many. Where they are not there, the system ends the
-/// program without a word.
+/// Announces the memory that work needs, if it is large. If it is not available, the system ends the program without a message.
 pub fn announce_memory(work: &str, bytes: f64) {
     if bytes > ANNOUNCED_BYTES {
         say(&format!("{work} takes some {:.1} GB of memory", bytes / 1e9));
     }
 }
 
-/// What a calibration takes for each feature, and for each pair of frames (the covariance of all poses, and what it is made of),
-/// bytes: 0.57 GB were measured with 100 000 features in 213 frames, 3.1 GB with 300 000 in 634.
+/// Memory of a calibration per feature and per pair of frames (covariance of all poses and its intermediate results), bytes:
+/// 0.57 GB were measured with 100 000 features in 213 frames, 3.1 GB with 300 000 in 634.
 const FEATURE_BYTES: f64 = 3000.0;
 const FRAME_PAIR_BYTES: f64 = 5500.0;
 
-/// Announces how much memory a calibration with these features takes.
+/// Announces the memory of a calibration with these features.
 pub fn announce_calibration(features: &[BapFeature]) {
     let frames: BTreeSet<u32> = features.iter().map(|feature| feature.frame).collect();
     announce_memory(
@@ -89,11 +88,11 @@ pub fn warn(warnings: &[impl Display]) {
     }
 }
 
-/// So many findings of a kind are printed as one.
+/// Number of findings of one kind from which they are printed as one.
 const MANY: usize = 10;
 
-/// Prints findings as warnings: a line with the code, and one with the remedy. Of many of a kind the first is printed, and the
-/// others are counted.
+/// Prints findings as warnings: a line with the code, and one with the remedy. If there are many of one kind, the first is
+/// printed and the others are counted.
 pub fn tell<'a>(findings: impl IntoIterator<Item = &'a Finding>) {
     let findings: Vec<&Finding> = findings.into_iter().collect();
     let of_kind = |code: &str| findings.iter().filter(|finding| finding.code() == code).count();
@@ -107,8 +106,8 @@ pub fn tell<'a>(findings: impl IntoIterator<Item = &'a Finding>) {
     }
 }
 
-/// A finding as a warning: its message, how many others are like it, its code, and on another line the remedy with the option
-/// that helps.
+/// Formats a finding as a warning: its message, the number of similar findings, its code, and on another line the remedy with
+/// the option that helps.
 pub fn told(finding: &Finding, others: usize) -> String {
     let like_it = if others > 0 { format!(" (and {others} more like it)") } else { String::new() };
     let remedy = finding.remedy();
@@ -123,22 +122,22 @@ pub fn told(finding: &Finding, others: usize) -> String {
 
 static TABLES: AtomicBool = AtomicBool::new(false);
 
-/// From here on, results are printed with all their tables.
+/// Enables all tables of results from here on.
 pub fn show_tables() {
     TABLES.store(true, Ordering::Relaxed);
 }
 
-/// Whether results are printed with all their tables.
+/// Returns true if results are printed with all their tables.
 pub fn tables_are_shown() -> bool {
     TABLES.load(Ordering::Relaxed)
 }
 
-/// A section as it is printed: in brief, unless all tables are asked for.
+/// Formats a section for printing: in brief, unless all tables are requested.
 pub fn shown(section: &Section) -> String {
     if tables_are_shown() { section.to_text() } else { section.to_brief_text() }
 }
 
-/// The option that helps; the library does not know of options.
+/// Returns the option that helps; the library does not know the options.
 fn option(issue: &Issue) -> Option<String> {
     match issue {
         Issue::OutlyingCenters { .. } | Issue::OutlyingUnweighted { .. } => Some("--loss".into()),
@@ -168,7 +167,7 @@ pub fn verdict_status(findings: &[Finding]) -> Option<ExitCode> {
     Some(ExitCode::from(4))
 }
 
-/// Says what went wrong, and what helps.
+/// Prints an error, and the remedy if there is one.
 pub fn say_error(error: &Error) {
     match remedy(error) {
         Some(remedy) => say_failure(&format!("{error}: {remedy}")),
@@ -176,7 +175,7 @@ pub fn say_error(error: &Error) {
     }
 }
 
-/// The option that helps, for errors of the library, which does not know of options.
+/// Returns the option that helps for an error of the library, which does not know the options.
 fn remedy(error: &Error) -> Option<String> {
     let remedy = match error {
         Error::InFile { error, .. } => return remedy(error),
@@ -207,8 +206,8 @@ fn remedy(error: &Error) -> Option<String> {
 
 /// Prints the result of a command: one JSON object, or text and the files that were written.
 ///
-/// A reader that has gone away (a closed pipe) is not an error: the files are written. A full disk is: whoever asked for
-/// the result does not have it.
+/// A reader that has gone away (a closed pipe) is not an error, since the files are written. A full disk is an error, since the
+/// result is lost.
 pub fn print_result(
     json: bool,
     document: &impl Serialize,
@@ -224,10 +223,10 @@ pub fn print_result(
     print_to(&mut anstream::stdout(), text.as_bytes())
 }
 
-/// So many files that were written are listed.
+/// Number of written files that are listed.
 const MOST_FILES: usize = 8;
 
-/// The files that were written, of many the first ones.
+/// Lists the written files; if there are many, the first ones.
 fn written(paths: &[PathBuf]) -> String {
     if paths.is_empty() {
         return String::new();

@@ -1,6 +1,6 @@
 //! Commands; one file for each.
 
-/// Help of `--out` for the files that a command writes there: what becomes of those of the same name is the same everywhere.
+/// Help of `--out` for the files that a command writes there. The treatment of existing files is the same for all commands.
 macro_rules! results_help {
     ($files:literal) => {
         concat!("Folder for the results: ", $files, ". Files of earlier results are replaced")
@@ -36,8 +36,8 @@ use clap::{Parser, Subcommand};
 
 /// Calibrates multi-focus plenoptic (light-field) cameras.
 ///
-/// From white images and images of a checkerboard to the main lens, the micro-lens array with the
-/// focal length of every lens type, the poses of the boards, and the uncertainty of all of it.
+/// Estimates the main lens, the micro-lens array with the focal length of every lens type, and the poses of the boards from
+/// white images and images of a checkerboard, all with their uncertainty.
 #[derive(Parser)]
 #[command(name = "plenocal", version, after_help = AFTER_HELP, max_term_width = 100)]
 struct Cli {
@@ -54,7 +54,7 @@ struct Cli {
     tables: bool,
 }
 
-// In the order in which they are used.
+// The order in which they are used.
 #[derive(Subcommand)]
 enum Command {
     Init(init::Arguments),

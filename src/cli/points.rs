@@ -1,4 +1,4 @@
-//! `plenocal points`: metric points from virtual depths.
+//! `plenocal points`: computes metric points from virtual depths.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -18,11 +18,11 @@ use serde_json::{Value, json};
 use super::evaluate::{calibrated, distance_check};
 use super::messages::{announce_memory, print_result, tell};
 
-/// Make metric points of virtual depths, by a calibrated camera.
+/// Compute metric points from virtual depths with a calibrated camera.
 ///
-/// Virtual depths are those of other software (RxLive, PlenopticToolbox) or your own: the distance of the image that the main
-/// lens makes, behind the array, in units of the distance between array and sensor. Points are in the camera frame: the
-/// origin is the middle of the main lens, x points to the right, y down and z towards the scene.
+/// Virtual depths come from other software (RxLive, PlenopticToolbox) or your own. A virtual depth is the distance of the image
+/// formed by the main lens, behind the array, in units of the distance between array and sensor. Points are in the camera
+/// frame: the origin is the middle of the main lens, x points to the right, y down and z towards the scene.
 // Names in the help are not code.
 #[allow(clippy::doc_markdown)]
 #[derive(Args)]
@@ -35,32 +35,32 @@ pub struct Arguments {
     input: PathBuf,
     #[arg(long, value_name = "DIR", help = results_help!("points.ply, and with --csv points.csv"))]
     out: PathBuf,
-    /// How the pixels of a map lie.
+    /// Kind of the pixels of a map.
     #[arg(long, default_value = "raw")]
     map: MapKind,
-    /// What the grey levels of an image mean: the virtual depth is A + B times the level. Level 0 has no depth.
+    /// Scale of the grey levels of an image: the virtual depth is A + B times the level. Level 0 has no depth.
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     depth_scale: Option<Vec<f64>>,
-    /// Standard deviation of u and v, px, where the file states none.
+    /// Standard deviation of u and v, px, if the file states none.
     #[arg(long, value_name = "PX", default_value_t = 0.0)]
     uv_std_dev: f64,
-    /// Standard deviation of virtual depths where the file states none.
+    /// Standard deviation of virtual depths, if the file states none.
     #[arg(long, value_name = "NU", default_value_t = 0.0)]
     depth_std_dev: f64,
     /// Also write the points as CSV.
     #[arg(long)]
     csv: bool,
-    /// Print what was done as one JSON object instead of sentences.
+    /// Print a summary as one JSON object instead of sentences.
     #[arg(long)]
     json: bool,
 }
 
-/// How the pixels of a map of virtual depths lie.
+/// Kind of the pixels of a map of virtual depths.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum MapKind {
-    /// As those of the raw image.
+    /// Pixels of the raw image.
     Raw,
-    /// As those of a total-focus image, of any size: straight before the images of points.
+    /// Pixels of a total-focus image of any size, at the positions of the virtual images across the axis.
     Focused,
 }
 
@@ -71,33 +71,33 @@ Examples:
   plenocal points camera.json depths.tiff --map focused --depth-scale 0,0.001 --out points
   plenocal points camera.json boards/features.csv --out corners";
 
-/// Pixels of a map whose points are in memory at once.
+/// Number of pixels of a map whose points are in memory at once.
 const AT_ONCE: usize = 1 << 16;
 
-/// An image is in memory as a file and as samples.
+/// Number of copies of an image in memory: the file and the samples.
 const IMAGE_COPIES: f64 = 2.0;
-/// What a row of a CSV file takes, bytes: 450 were measured with a million of them.
+/// Memory of a row of a CSV file, bytes: 450 were measured with a million rows.
 const ROW_BYTES: f64 = 450.0;
 
-/// Points with what they are called in the files, piece by piece.
+/// Points with the names of their labels, piece by piece.
 struct Cloud<'a> {
     pieces: Pieces<'a>,
     names: [&'static str; 2],
-    /// Whether the σ of points are known.
+    /// True if the σ of points are known.
     has_std_devs: bool,
     findings: Vec<Finding>,
 }
 
 type Pieces<'a> = Box<dyn Iterator<Item = Result<Piece>> + 'a>;
 
-/// Some of the points, and their labels.
+/// Part of the points, with their labels.
 struct Piece {
     points: Vec<Option<MetricPoint>>,
     labels: [Vec<i32>; 2],
 }
 
 impl Piece {
-    /// The only piece of a cloud.
+    /// Returns the pieces of a cloud that has only this one.
     fn alone(self) -> Pieces<'static> {
         Box::new(std::iter::once(Ok(self)))
     }
@@ -122,7 +122,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes all points, and summarizes them.
+/// Writes all points, and summarises them.
 fn stage(
     output: &mut OutputFolder,
     cloud: &mut Cloud,
@@ -169,7 +169,7 @@ fn cloud<'a>(arguments: &'a Arguments, camera: &'a PlenopticCamera) -> Result<Cl
                 [seen.iter().map(|s| s.at.k).collect(), seen.iter().map(|s| s.at.l).collect()];
             announce_points(seen.len());
             let mut findings = check_virtual_points(camera, &seen)?;
-            // The depth decides on the distance of a point.
+            // σ of the virtual depth dominates the σ of the point.
             let has_std_devs = seen.iter().all(|point| point.std_dev[2] > 0.0);
             findings.extend(without_std_devs(has_std_devs));
             let pieces = Piece { points: metric_points(camera, &seen)?, labels }.alone();
@@ -180,12 +180,12 @@ fn cloud<'a>(arguments: &'a Arguments, camera: &'a PlenopticCamera) -> Result<Cl
     }
 }
 
-/// Announces how much memory points of a CSV file take.
+/// Announces the memory for the points of a CSV file.
 fn announce_points(rows: usize) {
     announce_memory(&format!("computing with {rows} rows"), rows as f64 * ROW_BYTES);
 }
 
-/// Corners of boards, each by all its features in a frame.
+/// Triangulates corners of boards, each from all its features in a frame.
 fn of_features(path: &Path, camera: &PlenopticCamera) -> Result<Cloud<'static>> {
     let features = io::read_features(path, false)?.features;
     announce_points(features.len());
@@ -224,7 +224,7 @@ fn of_map(
         }
         let with_depth = (first..).zip(&depths).filter(|(_, depth)| depth.is_finite());
         let place = |i: usize| {
-            // Pixel (0, 0) is the middle of the first one, in the map as in the raw image.
+            // (0, 0) is the centre of the first pixel, in the map as in the raw image.
             let pixel = Vector2::new((i % map.width) as f64 + 0.5, (i / map.width) as f64 + 0.5);
             pixel.component_mul(&scale) - Vector2::new(0.5, 0.5)
         };
@@ -234,7 +234,7 @@ fn of_map(
         piece_of_map(&seen, kind, std_dev, camera).map(Some)
     };
     let mut next = Some(next);
-    // Nothing follows an error.
+    // The map must not be read on after an error.
     let pieces = std::iter::from_fn(move || {
         let found = next.as_mut()?().transpose();
         if !matches!(found, Some(Ok(_))) {
@@ -247,7 +247,7 @@ fn of_map(
     Ok(Cloud { pieces: Box::new(pieces), names: ["u", "v"], has_std_devs, findings })
 }
 
-/// Points of pixels that have a virtual depth.
+/// Computes the points of pixels that have a virtual depth.
 fn piece_of_map(
     pixels: &[(Vector2<f64>, f64)],
     kind: MapKind,
@@ -281,12 +281,12 @@ fn piece_of_map(
     Ok(Piece { points, labels: [whole(|p| p.x), whole(|p| p.y)] })
 }
 
-/// A note that no σ of points is known.
+/// Returns a note if no σ of points is known.
 fn without_std_devs(known: bool) -> Option<Finding> {
     (!known).then(|| Finding::note(Issue::PointsWithoutSigma))
 }
 
-/// Why no virtual depth gives a point.
+/// Explains why no virtual depth gives a point.
 fn no_point(findings: &[Finding]) -> String {
     let told: Vec<String> = findings
         .iter()
@@ -336,7 +336,7 @@ fn write_csv(out: &mut dyn Write, piece: &Piece, has_std_devs: bool) -> std::io:
     Ok(())
 }
 
-/// What is told of all points.
+/// Summary of all points.
 struct Summary {
     points: u64,
     without_point: u64,
@@ -373,14 +373,14 @@ impl Summary {
     }
 }
 
-/// Values for quantiles: all of them, or of very many every so many-th one, from all over.
+/// Values for quantiles: all of them or, if there are many, every `every`-th.
 struct Sample {
     values: Vec<f64>,
     every: usize,
     count: usize,
 }
 
-/// The median of so many is known to a thousandth of their spread.
+/// Largest number of values: it gives the median to a thousandth of their spread.
 const MOST_VALUES: usize = 1 << 20;
 
 impl Default for Sample {
@@ -407,7 +407,7 @@ impl Sample {
         self.count += 1;
     }
 
-    /// The value that a part of all values are below; NaN without any.
+    /// Returns the quantile at a fraction `part` of the values; NaN if there are none.
     fn quantile(&mut self, part: f64) -> f64 {
         self.values.sort_by(f64::total_cmp);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within the values

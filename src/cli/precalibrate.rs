@@ -1,4 +1,4 @@
-//! `plenocal precalibrate`: from white images to the micro-image array and internal parameters.
+//! `plenocal precalibrate`: measures the micro-image array and internal parameters on white images.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -27,20 +27,20 @@ use super::progress;
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
-    /// Project file (TOML) with [images], one white image (PNG, TIFF, BMP, PGM, JPEG), or a Raytrix
-    /// calibration (XML), which gives the centres and lens types as the maker measured them.
+    /// Project file (TOML) with [images], one white image (PNG, TIFF, BMP, PGM, JPEG), or a Raytrix calibration (XML), which
+    /// gives the centres and lens types measured by the maker.
     input: PathBuf,
-    /// Size of the images that a Raytrix calibration belongs to, e.g. 2048x2048.
+    /// Size of the images of a Raytrix calibration, e.g. 2048x2048.
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(u16, u16)>,
     #[arg(long, value_name = "DIR", help = results_help!("precalibration.json and centers.csv; from images also \
 micro-images.svg; from a project also radii.svg and COMPOTE's camera.js and params.js"))]
     out: PathBuf,
-    /// How radii are measured: the edge of a fitted profile, or the paper's second moments, which
-    /// are right only for some over-exposures; for a project [default: profile].
+    /// Estimator of radii: the edge of a fitted profile, or the paper's second moments, which are right only for some
+    /// over-exposures; for a project [default: profile].
     #[arg(long)]
     estimator: Option<RadiusEstimator>,
-    /// What the samples of a single image stand for [default: grey or RGB, as in the file].
+    /// Meaning of the samples of a single image [default: grey or RGB, as in the file].
     #[arg(long)]
     color: Option<Color>,
     /// Print the result as one JSON object instead of tables.
@@ -62,7 +62,7 @@ Examples:
   plenocal calibrate project.toml --params results/precalibration.json \\
       --centers results/centers.csv --features features.csv --out results";
 
-/// What the input is, by its file name extension.
+/// Kind of the input, by its file name extension.
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Project,
@@ -83,7 +83,7 @@ impl Kind {
     }
 }
 
-/// Checks the options; an error names one that is for another kind of input.
+/// Checks the options; an error names an option for another kind of input.
 fn check_options(arguments: &Arguments, kind: Kind) -> Result<()> {
     let options = [
         (arguments.size.is_some(), Kind::Raytrix, "--size is for a Raytrix calibration (XML)"),
@@ -201,13 +201,13 @@ fn of_project(
     Ok((shown(&section), io::precalibration_document(&result)))
 }
 
-/// What is doubtful about the files of the white images.
+/// Returns findings about the files of the white images.
 fn of_whites(images: &ImagesSection) -> Vec<Finding> {
     let none = ImagesSection { calibration: Vec::new(), evaluation: Vec::new(), ..images.clone() };
     io::doubtful_files(&ImagesSection { translation: None, ..none })
 }
 
-/// Measures the white images of a project, and returns these too.
+/// Measures the white images of a project, and returns the images too.
 pub(super) fn measure(
     path: &Path,
     images: &ImagesSection,
@@ -253,20 +253,19 @@ pub(super) fn stage_centers(output: &mut OutputFolder, result: &Precalibration) 
     output.stage("centers.csv", |out| io::write_measured_centers(out, &result.array, lens_type))
 }
 
-/// What the measurement takes for each pixel beside the images, bytes: 9 were measured on images of 12.5 MP, 5 with a single
-/// image.
+/// Memory of the measurement per pixel, without the images, bytes: 9 were measured on images of 12.5 MP, 5 with a single image.
 const WORK_BYTES: f64 = 9.0;
 const WORK_BYTES_ALONE: f64 = 5.0;
 
-/// What a centre of a maker's calibration takes, bytes: 180 were measured with 16 million of them.
+/// Memory of a centre of a maker's calibration, bytes: 180 were measured with 16 million centres.
 const CENTER_BYTES: f64 = 180.0;
 
-/// Announces how much memory the white images of a project take, all of which are measured together.
+/// Announces the memory for the white images of a project, all of which are measured together.
 fn announce(images: &ImagesSection) -> Result<()> {
     let files = images.whites.iter().map(|white| &white.image).chain(&images.devignetting);
     let bytes: Vec<u64> = files.map(|path| io::image_bytes(path)).collect::<Result<_>>()?;
     let all: f64 = bytes.iter().map(|bytes| *bytes as f64).sum();
-    // A sample takes a byte or two, or a pixel three or six.
+    // The number of bytes is an upper limit of the number of pixels: a pixel takes one, two, three or six bytes.
     let largest = bytes.iter().max().map_or(0.0, |bytes| *bytes as f64);
     let work = format!("measuring {} white images together", bytes.len());
     announce_memory(&work, all + WORK_BYTES * largest);

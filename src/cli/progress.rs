@@ -1,4 +1,4 @@
-//! Whether progress is shown, and how.
+//! Progress lines on a terminal.
 
 use std::io::{IsTerminal, Write};
 use std::sync::OnceLock;
@@ -9,17 +9,17 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 static HIDDEN: AtomicBool = AtomicBool::new(false);
 
-/// How often a progress line is redrawn.
+/// Time between redraws of a progress line.
 const TICK: Duration = Duration::from_millis(100);
 
-/// Number of finished steps, for work with long steps.
+/// Template with the number of finished steps, for work with long steps.
 const STEPS: &str = "{spinner} {msg}: {pos} of {len}";
-/// A bar with the remaining time, for work with many short steps.
+/// Template of a bar with the remaining time, for work with many short steps.
 const SHARE: &str = "{spinner} {wide_bar} {percent} %, {eta} left: {msg}";
-/// For work of unknown length.
+/// Template for work of unknown length.
 const SPINNER: &str = "{spinner} {msg} ({elapsed})";
 
-/// From here on, no progress is shown: log lines would disturb it.
+/// Hides progress from here on, since log lines would disturb it.
 pub fn hide() {
     HIDDEN.store(true, Ordering::Relaxed);
 }
@@ -35,18 +35,18 @@ pub fn clear() {
     }
 }
 
-/// The line of work that has several parts.
+/// Progress line of work that has several parts.
 static WHOLE: OnceLock<ProgressBar> = OnceLock::new();
 
-/// Shows one line for all parts of the work from here on, which has so many steps in all: their share that is done, the time
-/// left, and the part that is going on.
+/// Shows one line for all parts of the work from here on, with `steps` steps in total: the finished share, the remaining time
+/// and the current part.
 pub fn begin(quiet: bool, steps: usize) {
     let bar = shown(quiet, ProgressBar::new(steps as u64), SHARE, "");
-    // There is one such work in a process.
+    // Only one such work runs in a process.
     let _ = WHOLE.set(bar);
 }
 
-/// Says which part of the whole work is going on.
+/// Shows which part of the whole work is running.
 pub fn part(doing: &str) {
     if let Some(whole) = WHOLE.get() {
         whole.set_message(doing.to_owned());
@@ -60,24 +60,24 @@ pub fn end() {
     }
 }
 
-/// Whether the line of the whole work is on the terminal.
+/// Returns true if the line of the whole work is on the terminal.
 pub fn is_whole_shown() -> bool {
     WHOLE.get().is_some_and(|whole| !whole.is_hidden())
 }
 
-/// Steps that are counted in a line of their own, or in that of the whole work.
+/// Counter of steps with its own line, or in the line of the whole work.
 pub struct Steps {
     bar: ProgressBar,
     is_part: bool,
 }
 
 impl Steps {
-    /// Counts one more.
+    /// Counts one more step.
     pub fn inc(&self) {
         self.bar.inc(1);
     }
 
-    /// Clears a line of its own.
+    /// Clears the line, unless it is the line of the whole work.
     pub fn finish(&self) {
         if !self.is_part {
             self.bar.finish_and_clear();
@@ -85,7 +85,7 @@ impl Steps {
     }
 }
 
-/// Counts steps.
+/// Starts to count steps.
 pub fn steps(quiet: bool, count: usize, doing: &str) -> Steps {
     if let Some(whole) = WHOLE.get() {
         part(doing);
@@ -102,7 +102,7 @@ pub fn above(write: impl FnOnce()) {
     }
 }
 
-/// Shows the fraction of many short steps that is done.
+/// Shows the finished fraction of many short steps.
 pub fn share(count: u64) -> ProgressBar {
     shown(false, ProgressBar::new(count), SHARE, "")
 }

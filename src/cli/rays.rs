@@ -1,4 +1,4 @@
-//! `plenocal rays`: the ray of every pixel.
+//! `plenocal rays`: computes the ray of every pixel.
 
 use std::io::{self as std_io, Write};
 use std::path::PathBuf;
@@ -19,9 +19,9 @@ use super::progress;
 
 /// Compute the ray in space of every pixel of a calibrated camera.
 ///
-/// A pixel belongs to the micro-image whose micro-lens is the nearest where the ray from the middle of the exit pupil to the
-/// pixel meets the array, and its ray is the chief ray: through the centre of that micro-lens. Rays are in the camera frame: the origin is the middle of the main lens, x points to the right, y
-/// down and z towards the scene.
+/// A pixel belongs to the micro-image whose micro-lens is nearest to the point where the ray from the centre of the exit pupil
+/// to the pixel meets the array. Its ray is the chief ray, which passes through the centre of that micro-lens. Rays are in the
+/// camera frame: the origin is the middle of the main lens, x points to the right, y down and z towards the scene.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
@@ -29,17 +29,17 @@ pub struct Arguments {
     camera: PathBuf,
     #[arg(long, value_name = "DIR", help = results_help!("rays.npy, rays.json, and with --micro-images micro-images.npy"))]
     out: PathBuf,
-    /// Distance from the main lens at which rays have their origins, mm [default: where the lens is focused, or 100
-    /// focal lengths if that is infinity]. Distortion bends rays a little: they are exact here.
+    /// Distance of the origins of rays from the main lens, mm [default: the plane in focus, or 100 focal lengths if that is at
+    /// infinity or not known]. Distortion bends rays a little; they are exact at this distance.
     #[arg(long, value_name = "MM")]
     at: Option<f64>,
-    /// Numbers of 64 bits instead of 32.
+    /// Write numbers of 64 bits instead of 32.
     #[arg(long)]
     double: bool,
-    /// Also write which micro-image (k, l) each pixel belongs to.
+    /// Also write the micro-image (k, l) of each pixel.
     #[arg(long)]
     micro_images: bool,
-    /// Print what was done as one JSON object instead of sentences.
+    /// Print a summary as one JSON object instead of sentences.
     #[arg(long)]
     json: bool,
 }
@@ -53,12 +53,12 @@ In Python:
   rays = numpy.load('rays/rays.npy')       # height x width x 6, mm; NaN where there is none
   origin, direction = rays[v, u, :3], rays[v, u, 3:]";
 
-/// Rays are computed so many pixels at a time: all of a large sensor would take tens of gigabytes.
+/// Number of pixels whose rays are computed at once: all rays of a large sensor would take tens of gigabytes.
 const AT_ONCE: u64 = 1 << 16;
-/// A lens focused at infinity has its rays begin so many focal lengths away.
+/// Distance of the origins of rays of a lens focused at infinity, in focal lengths.
 const FAR: f64 = 100.0;
-/// How much rays bend is measured at these multiples of the distance, on every so many-th pixel along u and v, but on not
-/// more of them than this along either.
+/// Multiples of the distance at which the bending of rays is measured. It is measured on every `SPARSE`-th pixel along u and v,
+/// but on at most `MOST_ALONG` pixels along each.
 const MULTIPLES: [f64; 2] = [0.7, 1.5];
 const SPARSE: u32 = 37;
 const MOST_ALONG: u32 = 500;
@@ -121,7 +121,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Where the lens is focused, from the main lens.
+/// Returns the distance of the plane in focus from the main lens, mm; `FAR` focal lengths if it is at infinity or not known.
 pub(super) fn default_distance(camera: &PlenopticCamera) -> f64 {
     let behind_mm = camera.mla.lens_to_mla_mm + camera.mla.mla_to_sensor_mm;
     let focused_mm =
@@ -134,7 +134,7 @@ pub(super) fn default_distance(camera: &PlenopticCamera) -> f64 {
     }
 }
 
-/// All pixels, row by row, a piece at a time.
+/// Returns all pixels, row by row, in pieces.
 fn pieces(camera: &PlenopticCamera) -> impl Iterator<Item = Vec<Vector2<f64>>> {
     let width = u64::from(camera.sensor.width_px);
     let count = camera.sensor.pixels();
@@ -183,7 +183,7 @@ fn stage_micro_images(output: &mut OutputFolder, camera: &PlenopticCamera) -> Re
     Ok(())
 }
 
-/// How far rays are from what the model images, at a distance.
+/// Distance of rays from the points that the model images, at one distance from the lens.
 struct Bend {
     at_mm: f64,
     /// RMS and largest distance across the axis, mm.
@@ -209,7 +209,7 @@ impl Bend {
 fn bend(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<Bend>> {
     let along = |size: u32| {
         let step = SPARSE.max(size.div_ceil(MOST_ALONG));
-        // Sensors of fewer pixels are measured at their middle.
+        // A sensor with fewer pixels than a step is measured at its middle.
         let first = if size > step / 2 { step / 2 } else { size / 2 };
         (first..size).step_by(step as usize)
     };

@@ -1,4 +1,4 @@
-//! `plenocal run`: from the images of a project to a report.
+//! `plenocal run`: processes the images of a project up to a report.
 //!
 //! The stages hand values to each other. All files are written at the end, together.
 
@@ -30,9 +30,9 @@ use super::evaluate::{calibrated, clouds, evaluated};
 use super::messages::{announce_calibration, print_result, say, shown, tables_are_shown, tell};
 use super::{precalibrate, progress};
 
-/// From the images of a project to a report: pre-calibration, detection, calibration, evaluation.
+/// Process the images of a project up to a report: pre-calibration, detection, calibration, evaluation.
 ///
-/// Everything goes into one folder, with a subfolder for each stage; the results of an earlier run there are replaced.
+/// All results go into one folder, with a subfolder for each stage; they replace the results of an earlier run there.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
@@ -41,14 +41,14 @@ pub struct Arguments {
 
     #[arg(long, value_name = "DIR", help = results_help!("report.html, verdict.json, manifest.json, and a folder for each stage"))]
     pub out: PathBuf,
-    /// How the virtual depth of a corner is estimated from the micro-images that show it.
+    /// Estimator of the virtual depth of a corner from the micro-images that show it.
     #[arg(long, default_value = "line")]
     pub estimator: DepthEstimator,
-    /// Frames of the calibration to leave out, e.g. 3,7 or 0-4,7; in place of those of the project.
+    /// Frames of the calibration to leave out, e.g. 3,7 or 0-4,7; replaces the list of the project.
     #[arg(long, value_name = "LIST", value_parser = frame_list)]
-    // Named in full, the type stands for one value of the flag.
+    // With the full path of the type, clap takes the list as one value of the flag.
     pub exclude: Option<::std::vec::Vec<u32>>,
-    /// Set of calibration options to begin with; in place of that of the project.
+    /// Set of calibration options to begin with; replaces the set of the project.
     #[arg(long)]
     pub method: Option<Method>,
     /// Replace a value of the project, e.g. calibration.loss=cauchy; may be repeated.
@@ -57,7 +57,7 @@ pub struct Arguments {
     /// Also calibrate from corners alone, for comparison.
     #[arg(long)]
     pub corners_only: bool,
-    /// Folds of the cross-validation, of models too; 0 for none.
+    /// Folds of the cross-validation and of the comparison of models; 0 for none.
     #[arg(long, value_name = "K", default_value_t = 5)]
     pub folds: usize,
     /// Write no pictures of frames.
@@ -84,7 +84,7 @@ const EVALUATION: &str = "evaluation";
 /// Names of the two methods in tables.
 const BLUR_AWARE: &str = "blur aware";
 const CORNERS: &str = "corners only";
-/// The files beside the folders of the stages.
+/// Names of the files beside the folders of the stages.
 const REPORT: &str = "report.html";
 const VERDICT: &str = "verdict.json";
 
@@ -122,16 +122,16 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     outcome
 }
 
-/// The steps of a run that progress counts: images, and calibrations without some frames or parameters.
+/// Returns the number of steps that progress counts: images, and calibrations without some frames or parameters.
 fn steps_of(images: &ImagesSection, folds: usize) -> usize {
     let subsets = [Subset::Calibration, Subset::Evaluation, Subset::Translation];
     let boards: usize = subsets.iter().map(|subset| images_of(*subset, images).len()).sum();
-    // Groups of parameters are left out in all folds and once in all frames.
+    // Each group of parameters is left out in all folds and once with all frames.
     let models = if folds > 0 { Group::ALL.len() * (folds + 1) } else { 0 };
     images.whites.len() + boards + models + folds
 }
 
-/// A run: its input, and what its stages have left so far.
+/// State of a run: its input, and the results of its stages so far.
 struct Run<'a> {
     arguments: &'a Arguments,
     project: &'a Project,
@@ -139,22 +139,22 @@ struct Run<'a> {
     options: CalibrationOptions,
     begun: Instant,
     manifest: Manifest,
-    /// Files of all stages, which get their names at the end.
+    /// Files of all stages, which are renamed to their final names at the end.
     output: OutputFolder,
     /// Sections of the report by stage, in the order of the stages.
     sections: Vec<(&'static str, Section)>,
-    /// The figures beside the result.
+    /// Figures beside the result.
     figures: Vec<Figure>,
-    /// Findings that bear on the camera: about images, the boards of the calibration, and the evaluation.
+    /// Findings about the camera: from images, boards of the calibration, and the evaluation.
     findings: Vec<Finding>,
 }
 
-/// The arguments of this program.
+/// Returns the arguments of this program.
 fn command_line() -> Vec<String> {
     std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned()).collect()
 }
 
-/// What boards are calibrated with.
+/// Input of the calibration.
 struct Observed {
     start: Start,
     observations: Observations,
@@ -197,14 +197,14 @@ impl<'a> Run<'a> {
         let found = self.stage(boards_stage(of_calibration), boards(of_calibration, &micro_images));
         let found = found.map_err(|error| because_of_white_image(error, &self.findings))?;
         self.findings.extend(found.findings.iter().cloned());
-        // The other boards were taken by the same camera.
+        // The same camera took the other boards, so that its aperture ratio applies to them.
         let settled = match &found.aperture_ratio {
             Some(aperture_ratio) => micro_images.settled_at(aperture_ratio),
             None => micro_images,
         };
         let mut others = Vec::new();
         for subset in [Subset::Evaluation, Subset::Translation] {
-            // Without these there is still a calibration.
+            // The calibration does not need these boards.
             if !images_of(subset, &self.shoot.images).is_empty() {
                 let result = self.stage(boards_stage(subset), boards(subset, &settled));
                 let part = format!("boards for {}", subset.name());
@@ -230,12 +230,12 @@ impl<'a> Run<'a> {
         self.finish(&calibration, &assessment, evaluation)
     }
 
-    /// Whether there is a calibration with blur, to which corners only can be compared.
+    /// Returns true if the calibration uses blur, so that corners alone can be compared with it.
     fn has_blur(&self) -> bool {
         self.options.mode == Mode::Full && self.shoot.sheet.lens_types > 0
     }
 
-    /// Does the work of a stage, which stages files in a folder of its own.
+    /// Runs a stage, which stages its files in its own folder.
     fn stage<T>(
         &mut self,
         name: &'static str,
@@ -262,8 +262,8 @@ impl<'a> Run<'a> {
         Ok(result)
     }
 
-    /// The result of a part that the rest can do without; its failure is a finding. What cannot be written is not
-    /// tolerated: the rest could not be written either.
+    /// Returns the result of a part that the rest does not need; a failure becomes a finding. A failed write stays an error:
+    /// the other files could not be written either.
     fn tolerated<T>(&mut self, part: &str, result: Result<T>) -> Result<Option<T>> {
         match result {
             Ok(result) => Ok(Some(result)),
@@ -319,7 +319,7 @@ impl<'a> Run<'a> {
         let internal = measured.internal.parameters.clone();
         let lattice = &measured.array.grid.lattice;
         let sheet = Datasheet {
-            // Where it is not stated, micro-images at the border may have features although they have no centre.
+            // Without a stated size, micro-images at the border may have features but no centre.
             array_size: Some((lattice.columns, lattice.rows)),
             ..self.shoot.sheet
         };
@@ -365,7 +365,7 @@ impl<'a> Run<'a> {
         Ok((result, assessment))
     }
 
-    /// A calibration with corners only, for comparison.
+    /// Calibrates with corners alone, for comparison.
     fn corners(&mut self, observed: &Observed, output: &mut OutputFolder) -> Result<Calibration> {
         let begun = Instant::now();
         let options = self.options.of_corners_only();
@@ -388,8 +388,8 @@ impl<'a> Run<'a> {
         Ok(result)
     }
 
-    /// What groups of parameters are worth, for the document and for the report. With too few frames there is
-    /// a sentence instead.
+    /// Compares models without groups of parameters, for the document and the report. With too few frames, the report has a
+    /// sentence instead.
     fn models(
         &self,
         calibration: &Calibration,
@@ -453,7 +453,7 @@ impl<'a> Run<'a> {
         let document = json!(io::evaluation_document(&found));
         output.stage_json("evaluation.json", &document)?;
         tell(&found.findings);
-        // The verdict is on the first camera.
+        // The verdict concerns the first camera only.
         let of_second = |finding: &Finding| {
             let second = candidates.get(1).map(|candidate| format!("{},", candidate.name));
             matches!((&finding.subject, second), (Subject::Part(part), Some(second)) if part.starts_with(&second))
@@ -465,7 +465,7 @@ impl<'a> Run<'a> {
         Ok((document, found))
     }
 
-    /// Gives all files their names, prints the result, and returns the exit status.
+    /// Renames all files to their final names, prints the result, and returns the exit status.
     fn finish(
         mut self,
         calibration: &Calibration,
@@ -500,7 +500,7 @@ impl<'a> Run<'a> {
         let report = self.report(section, time_s);
         self.output.stage(REPORT, |out| out.write_all(report.to_html().as_bytes()))?;
         self.output.stage_json(VERDICT, &document)?;
-        // In place of the one whose verdict knows of the calibration alone.
+        // Replaces the file of the calibration stage, whose verdict does not include the other stages.
         let judged = Assessment {
             verdict: of_findings,
             findings: self.findings.clone(),
@@ -527,7 +527,7 @@ impl<'a> Run<'a> {
         Ok(status(calibration, &self.findings))
     }
 
-    /// The result as printed, with all tables of calibration and evaluation if they are asked for.
+    /// Formats the printed result, with all tables of calibration and evaluation if they are requested.
     fn printed(&self, result: &Section) -> String {
         let of_stage = |(stage, section): &(&str, Section)| {
             (tables_are_shown() && [CALIBRATION, EVALUATION].contains(stage))
@@ -537,7 +537,7 @@ impl<'a> Run<'a> {
         std::iter::once(shown(result)).chain(tables).collect::<Vec<_>>().join("\n\n")
     }
 
-    /// The report: the result, then what it came from.
+    /// Creates the report: the result first, then the stages.
     fn report(&self, result: Section, time_s: f64) -> Report {
         let is_result = |stage: &str| [CALIBRATION, EVALUATION].contains(&stage);
         let (results, rest): (Vec<_>, Vec<_>) =
@@ -576,7 +576,7 @@ impl<'a> Run<'a> {
     }
 }
 
-/// An error of the boards, after what is wrong with a white image: beside an image that is not white, no board is found.
+/// Puts a finding about a white image before an error of the boards: with a wrong white image, no board is found.
 fn because_of_white_image(error: Error, findings: &[Finding]) -> Error {
     let not_white = |finding: &&Finding| {
         matches!(finding.issue, Issue::NotWhite { .. } | Issue::IrregularArray { .. })
@@ -589,7 +589,7 @@ fn because_of_white_image(error: Error, findings: &[Finding]) -> Error {
     }
 }
 
-/// A calibration as a camera to evaluate.
+/// Creates a candidate of the evaluation from a calibration.
 fn candidate((name, calibration): (&str, &&Calibration)) -> Candidate {
     let Calibration { camera, uncertainty, board, .. } = *calibration;
     Candidate {
@@ -607,7 +607,7 @@ fn stage_figures(output: &mut OutputFolder, figures: &[Figure]) -> Result<()> {
     })
 }
 
-/// The calibration options of a project; an error if they ask for poses only.
+/// Returns the calibration options of a project; an error if they ask for poses only.
 fn calibration_options(path: &Path, project: &Project) -> Result<CalibrationOptions> {
     if project.calibration.mode == Mode::PosesOnly {
         return Err(Error::invalid(

@@ -1,4 +1,4 @@
-//! `plenocal simulate`: raw images of a simulated camera, with the truth.
+//! `plenocal simulate`: writes raw images of a simulated camera, with the truth.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ pub struct Arguments {
     /// Simulation file (TOML), instead of --preset; --print shows what it can contain.
     #[arg(conflicts_with = "preset")]
     file: Option<PathBuf>,
-    /// A camera that comes with plenocal [default: mini].
+    /// Preset camera of plenocal [default: mini].
     #[arg(long, value_name = "NAME", value_parser = preset_names())]
     preset: Option<String>,
     /// Folder for the data set.
@@ -38,7 +38,7 @@ pub struct Arguments {
     /// Replace a setting, e.g. imaging.bits=16; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Poses of the calibration boards (poses.json) instead of random ones.
+    /// Poses of the calibration boards (poses.json), instead of random ones.
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
     /// Print the complete simulation file and stop.
@@ -50,7 +50,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// The first preset, unchanged, in place of an earlier one.
+    /// Returns the arguments for the first preset without changes; it replaces an earlier data set.
     pub fn preset(out: &Path) -> Self {
         Self {
             file: None,
@@ -82,7 +82,7 @@ Examples:
 pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let text = simulate(arguments)?;
     let printed = super::messages::print(text.as_bytes());
-    // Once the data set is written, a closed stdout is not an error.
+    // A closed stdout is not an error once the data set is written.
     if arguments.print {
         printed?;
     }
@@ -124,13 +124,13 @@ pub fn simulate(arguments: &Arguments) -> Result<String> {
     Ok(summary(&simulated.data_set, &out.display().to_string(), begun.elapsed()))
 }
 
-/// What an image takes while it is taken, bytes for each pixel and for each of its samples: 7 were measured on grey images.
+/// Memory of an image while it is simulated, bytes per pixel and per sample: 7 were measured on grey images.
 const PIXEL_BYTES: f64 = 4.0;
 const SAMPLE_BYTES: f64 = 3.0;
-/// What the true features of a corner take, bytes: 3080 were measured.
+/// Memory of the true features of a corner, bytes: 3080 were measured.
 const CORNER_BYTES: f64 = 3e3;
 
-/// Announces how much memory large images and boards of very many corners take.
+/// Announces the memory for large images and for boards with many corners.
 fn announce(settings: &Settings, plan: &DataSet) {
     let pixels = settings.camera.sensor.pixels() as f64;
     let samples = settings.imaging.color.samples() as f64;
@@ -148,7 +148,7 @@ fn settings(arguments: &Arguments) -> Result<Settings> {
             io::read_text(Path::new(file))
         });
     };
-    // A prescription lies where the simulation file says, from its folder.
+    // The path of a prescription is relative to the simulation file.
     let folder = path.parent().unwrap_or(Path::new(""));
     let read = |file: &str| io::read_text(&folder.join(file));
     Settings::from_toml_and_files(&io::read_text(path)?, &arguments.set, &read)

@@ -1,8 +1,8 @@
-//! The aberrations of the main lens, estimated from how they bend the lines of corners.
+//! Estimation of the aberrations of the main lens from the bending of the lines of corners.
 //!
-//! A wrong blur radius bends lines as well, since the rim of the pupil then moves places as spherical aberration does: an
-//! aperture ratio that is 8 % too large has the effect of a double Gauss lens. So the aperture ratio is estimated first, from the
-//! widths of edges, and the aberrations from places that have moved with it.
+//! A wrong blur radius bends lines too, since the rim of the pupil then moves positions like spherical aberration: an aperture
+//! ratio that is 8 % too large has the effect of a double Gauss lens. The aperture ratio is therefore estimated first, from the
+//! widths of edges. Positions move with it, and then give the aberrations.
 
 use nalgebra::{Matrix3, SMatrix, Vector1, Vector3};
 
@@ -12,21 +12,20 @@ use super::{Aberration, CornerLine, MicroImages};
 use crate::model::taken::APERTURE_RATIO;
 use crate::numerics::NormalEquations;
 
-/// Before a frame was looked at, its aberrations move nothing by more than about this, px. It holds them down
-/// where a few corners say nothing about them.
+/// Prior standard deviation of the displacement by aberrations, px. It limits them if a few corners hardly determine them.
 const MOST_PX: f64 = 1.0;
-/// Aberrations show from so many σ on.
+/// Significance of aberrations, in σ, below which they are set to 0.
 const SHOWS: f64 = 4.0;
 
-/// A place and its derivatives: columns of the equations of an observation.
+/// Columns of the equations of an observation: its position and the derivatives of the position.
 const COLUMNS: usize = 5;
 const PLACE: usize = 0;
 const BY_RATIO: usize = 1;
 const BY_ABERRATION: usize = 2;
 
-/// Changes of S, C and T with which the observations of every corner lie on a line, px⁻². If ln φ is free, the widths of edges
-/// determine it before; `wider_px2` is the variance by which they are taken to be wider already. Aberrations that are not
-/// significant in the frame are set to 0, since they would only add noise.
+/// Returns the changes of S, C and T with which the observations of every corner lie on a line, px⁻². If ln φ is free, the
+/// widths of edges determine it first; `wider_px2` is the assumed excess edge variance. Aberrations that are not significant in
+/// the frame are set to 0, since they would only add noise.
 pub(super) fn aberration_change<'a>(
     aberration: &Aberration,
     micro_images: &MicroImages,
@@ -34,8 +33,8 @@ pub(super) fn aberration_change<'a>(
     corners: impl Iterator<Item = &'a [CornerMeasurement]>,
 ) -> Vector3<f64> {
     let mut widths = Vec::new();
-    // What no line explains of the places must be explained by what no line explains of the sensitivities (Frisch, Waugh and
-    // Lovell).
+    // The lines of corners are projected out of positions and sensitivities before the latter are fitted to the former (Frisch,
+    // Waugh and Lovell).
     let mut all_left = Vec::new();
     let mut largest = Vector3::<f64>::zeros();
     let mut freedom = 0.0;
@@ -80,7 +79,7 @@ pub(super) fn aberration_change<'a>(
     if shows { change } else { -aberration.coefficients_per_px2 }
 }
 
-/// The information of a corner about ln φ, if the slope of its line has the derivative `slope_by_ratio`.
+/// Returns the information of a corner about ln φ, if the slope of its line has the derivative `slope_by_ratio`.
 fn width_by_ratio(
     seen: &CornerMeasurement,
     micro_images: &MicroImages,
@@ -91,8 +90,8 @@ fn width_by_ratio(
     seen.width_at(slope, &optics).of_log_ratio(optics.blur_by_ratio_px(slope, slope_by_ratio))
 }
 
-/// The two equations of an observation: of the line in its β and γ, with the straightened place and its sensitivities to ln φ, S,
-/// C and T on their right.
+/// Returns the two equations of an observation: of the line in β and γ, with the corrected position and its sensitivities to
+/// ln φ, S, C and T as right-hand sides.
 fn rows(seen: &CornerMeasurement) -> [(Vector3<f64>, SMatrix<f64, 1, COLUMNS>); 2] {
     let observation = seen.on_line();
     let design = observation.whitened(&CornerLine::design(&observation.center));
@@ -118,12 +117,11 @@ mod tests {
     const PUPIL_PX: f64 = 6.0;
     const STD_DEV_PX: f64 = 0.05;
 
-    /// How places seem bent where ln φ is wrong, per |w|² of spherical aberration.
+    /// Apparent bending by an error of ln φ, per |w|² of spherical aberration.
     const BENT_BY_RATIO: f64 = -0.02;
 
-    /// Corners all over an image of 1000 x 800 px, each in 25 micro-images, as sharp images show them: every
-    /// observation has one ray. Errors of the given size follow no pattern. ln φ is another one than it was taken to be by
-    /// `log_ratio`.
+    /// Returns corners all over an image of 1000 x 800 px, each in 25 micro-images. Images are sharp: every observation has one
+    /// ray. Errors of the given size follow no pattern. ln φ differs from its assumed value by `log_ratio`.
     fn seen_with(
         aberration: &Aberration,
         error_px: f64,
@@ -145,7 +143,7 @@ mod tests {
                     .flat_map(|l| (-2..=2).map(move |k| Vector2::new(f64::from(k), f64::from(l))))
                     .map(|node| {
                         let center = pinhole + node * 7.0;
-                        // w = (γ − 1)(c − p) − E/A, by a few rounds.
+                        // A few rounds solve w = (γ − 1)(c − p) − E/A.
                         let straight = (center - pinhole) * (slope - 1.0);
                         let bend = aberration.bend(&center, slope);
                         let w = (0..20).fold(straight, |w, _| straight - bend.at(&w));
@@ -210,7 +208,7 @@ mod tests {
         assert!((noisy - truth).component_div(&truth).amax() < 0.2, "{noisy}");
     }
 
-    /// Light of openings that are smaller than they were taken to be.
+    /// Checks openings that are smaller than assumed.
     #[test]
     fn an_aperture_ratio_is_no_aberration() {
         let none = Aberration::none(Vector2::new(500.0, 400.0), PUPIL_PX);

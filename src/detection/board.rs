@@ -1,4 +1,4 @@
-//! Which corner of the board is which: the lattice that pinhole images of corners make.
+//! Labels of the corners of a board, from the lattice of their pinhole images.
 
 mod homography;
 mod lattice;
@@ -16,66 +16,64 @@ use crate::error::Error;
 use crate::finding::Issue;
 use crate::model::Board;
 
-/// The pinhole image of a corner, and how the squares about it lie.
+/// Pinhole image of a corner, with the directions to its bright and dark squares.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LatticePoint {
     /// Position, px.
     pub place: Vector2<f64>,
-    /// A form that is positive along directions to bright squares and negative to dark ones; zero if
-    /// that is not known.
+    /// Quadratic form that is positive along directions to bright squares and negative to dark ones; zero if they are not
+    /// known.
     pub squares: Matrix2<f64>,
 }
 
 /// Points labelled with the corners of a board.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct LabelledBoard {
-    /// The corner that each point is; `None` for those that are no corner of the board.
+    /// Corner of each point; `None` for points that are no corner of the board.
     pub corners: Vec<Option<i32>>,
-    /// From (column, row, 1) of a corner to its pinhole image, px.
+    /// Homography from (column, row, 1) of a corner to its pinhole image, px.
     pub homography: Matrix3<f64>,
 }
 
-/// Corners of the largest board that is searched for, and how many times as many points there may be with
-/// clutter.
+/// Largest number of corners of a board, and largest number of points, with clutter, over the number of corners.
 const MOST_CORNERS: usize = 2500;
 const MOST_CLUTTER: usize = 10;
-/// Placements whose scores differ by less than this part of the corners are equally good.
+/// Difference of scores, as a part of the corners, below which placements are equally good.
 const ALIKE: f64 = 0.08;
-/// So many corners beyond the board show that it is larger.
+/// Number of corners beyond the board that show that it is larger.
 const BEYOND: usize = 4;
-/// Rows whose directions to the right, as cosines, differ by less run in the same direction.
+/// Difference of the cosines of the directions of rows below which they run in the same direction.
 const SAME_DIRECTION: f64 = 0.3;
-/// Least part of the corners in view that are found.
+/// Smallest part of the corners in view that must be found.
 const FOUND: f64 = 0.5;
 
-/// A node, or a place on the board, and the point there.
+/// Node or position on the board, and the index of the point there.
 type NodePoint = ((i32, i32), usize);
 
-/// A corner is where the homography puts it within this part of a step.
+/// Largest distance of a corner from the prediction of the homography, as a part of a step.
 const PLACE_ERROR: f64 = 0.15;
-/// Of the points of a lattice that no homography agrees with one in so many is dropped at a time.
+/// Number of points of a lattice of which one is dropped at a time, if no homography agrees with them.
 const DROPPED: usize = 40;
-/// A row of corners may be missing between others, as where each is seen in a single micro-image.
+/// Largest distance to the next node, in steps: a row of corners may be missing, for example if each is in a single
+/// micro-image.
 const GAP: i32 = 2;
-/// What a point of the lattice beyond the board takes from the score, in corners.
+/// Decrease of the score by a point of the lattice beyond the board, in corners.
 const BEYOND_SCORE: f64 = 2.0;
-/// Outer corners less than this part of a step apart are at the same place.
+/// Distance, as a part of a step, below which outer corners are at the same position.
 const SAME_PLACE: f64 = 0.4;
 
-/// An error unless boards of this size can be found.
+/// Returns an error if boards of this size cannot be found.
 pub fn check_board_size(board: &Board) -> Result<(), Error> {
     size_in_reach(board).map(|_| ()).map_err(|rejection| Error::invalid(rejection.to_string()))
 }
 
 impl LabelledBoard {
-    /// Labels points with the corners of a board; the reason if they show none, or could be several parts
-    /// of it.
+    /// Labels points with the corners of a board. Returns an error if they show no board, or could be several parts of it.
     ///
-    /// Corners at places out of view may be missing, so that a board that is cut by the border of the
-    /// image is recognised by its other sides. Colours of the squares count where they are known; corner
-    /// 0 has a dark square before it. Where the board, or what shows of it, is the same when turned, the
-    /// placement is taken whose rows run most to the right; of those whose rows run up and down or
-    /// diagonally, the one with corner 0 on top.
+    /// Corners out of view may be missing, so a board that is cut by the border of the image is recognised by its other sides.
+    /// Colours of the squares count if they are known; the square before corner 0 is dark. If the board, or its visible part,
+    /// is the same when turned, the placement is taken whose rows run most to the right. If rows run up and down or diagonally,
+    /// it is the placement with corner 0 on top.
     pub fn label(
         points: &[LatticePoint],
         board: &Board,
@@ -107,12 +105,12 @@ impl LabelledBoard {
         Ok(labelled)
     }
 
-    /// Pinhole image of a corner, px.
+    /// Returns the pinhole image of a corner, px.
     pub fn pinhole(&self, board: &Board, corner: i32) -> Vector2<f64> {
         project(&self.homography, &coordinates(board, corner))
     }
 
-    /// Directions of row and column at a corner, in px of the pinhole image to the next corner.
+    /// Returns the steps of the pinhole image along row and column from a corner to the next, px.
     pub fn steps(&self, board: &Board, corner: i32) -> (Vector2<f64>, Vector2<f64>) {
         const PART: f64 = 1e-3;
         let at = coordinates(board, corner);
@@ -124,7 +122,7 @@ impl LabelledBoard {
     }
 }
 
-/// Number of corners of a board; the reason if boards of this size are not searched for.
+/// Returns the number of corners of a board; an error if boards of this size are not searched for.
 fn size_in_reach(board: &Board) -> Result<usize, Issue> {
     let corners = usize::try_from(board.corners()).unwrap_or(usize::MAX);
     if (FEWEST..=MOST_CORNERS).contains(&corners) {
@@ -134,11 +132,11 @@ fn size_in_reach(board: &Board) -> Result<usize, Issue> {
     Err(Issue::BoardSize { columns, rows, fewest: FEWEST, most: MOST_CORNERS })
 }
 
-/// The best of some placements, the one with the highest score first.
+/// Returns the best of some placements, which are in the order of their scores, highest first.
 fn best_of<'a>(placements: &'a [Placement], board: &Board) -> Result<&'a Placement, Issue> {
     let best = placements.first().ok_or(Issue::NoLattice)?;
     let limit = best.score - ALIKE * f64::from(board.corners());
-    // Of those that are equally good the one whose rows run most to the right; that has to be one place.
+    // Among equally good placements, those whose rows run most to the right have to be at one position.
     let alike = || placements.iter().filter(|p| p.score >= limit);
     let rightmost = alike().map(Placement::rightwards).fold(f64::MIN, f64::max);
     let towards = || alike().filter(|p| p.rightwards() > rightmost - SAME_DIRECTION);
@@ -147,10 +145,10 @@ fn best_of<'a>(placements: &'a [Placement], board: &Board) -> Result<&'a Placeme
         let (corners, elsewhere) = (best.labelled(), other.labelled());
         return Err(Issue::SeveralPlaces { corners, elsewhere });
     }
-    // What is left is the board, turned.
+    // The remaining placements differ by turns only.
     let top = |p: &&Placement| p.outline[0].y;
     let best = towards().min_by(|a, b| top(a).total_cmp(&top(b))).unwrap_or(best);
-    // Another placement there may label more of its corners.
+    // Another placement at this position may label more corners of the board.
     Ok(towards().find(|p| p.is_at(best)).unwrap_or(best))
 }
 
@@ -161,28 +159,28 @@ fn coordinates(board: &Board, corner: i32) -> Vector2<f64> {
     )
 }
 
-/// Points, the board that they may be corners of, and where corners would show.
+/// Points, the board that they may be corners of, and the region in view.
 struct View<'a> {
     pub points: &'a [LatticePoint],
     pub board: &'a Board,
     pub in_view: &'a (dyn Fn(&Vector2<f64>) -> bool + Sync),
 }
 
-/// Points placed on the board.
+/// Placement of points on the board.
 struct Placement {
-    /// The corner that each point is.
+    /// Corner of each point.
     pub corners: Vec<Option<i32>>,
     homography: Matrix3<f64>,
-    /// The four outer corners, px.
+    /// Positions of the four outer corners, px.
     pub outline: [Vector2<f64>; 4],
-    /// Number of corners that should show but do not.
+    /// Number of corners in view without a point.
     pub missing: usize,
-    /// Number of points that are corners, less what speaks against it.
+    /// Number of points that are corners, less penalties.
     pub score: f64,
 }
 
 impl View<'_> {
-    /// Every way to place a lattice on the board.
+    /// Returns all placements of a lattice on the board.
     pub fn placements(&self, nodes: &Nodes) -> Vec<Placement> {
         let Some((nodes, homography)) = self.regular(nodes) else { return Vec::new() };
         let nodes = self.across_gaps(nodes, &homography);
@@ -200,7 +198,7 @@ impl View<'_> {
                 .flat_map(|top| lefts.clone().map(move |left| (left, top)))
                 .collect();
             let at_place = |&(left, top): &(i32, i32)| {
-                // From corners of the board to nodes.
+                // The matrix maps corners of the board to nodes.
                 let (ex, ey, origin) = match quarter_turns {
                     0 => ((1, 0), (0, 1), (left, top)),
                     1 => ((0, -1), (1, 0), (top, -left)),
@@ -221,7 +219,7 @@ impl View<'_> {
         (0..4).flat_map(of_turn).collect()
     }
 
-    /// The points of a lattice that a homography agrees with, by node, and the homography.
+    /// Returns the points of a lattice that a homography agrees with, by node, and the homography.
     fn regular(&self, nodes: &Nodes) -> Option<(Vec<NodePoint>, Matrix3<f64>)> {
         let mut kept: Vec<NodePoint> = nodes.iter().map(|(&at, &i)| (at, i)).collect();
         // The order of a hash map changes from run to run.
@@ -262,7 +260,7 @@ impl View<'_> {
         }
     }
 
-    /// These and the points that a lattice cannot grow to, since all corners of a row between are missing.
+    /// Adds points that a lattice cannot grow to, since all corners of a row between are missing.
     fn across_gaps(&self, mut nodes: Vec<NodePoint>, homography: &Matrix3<f64>) -> Vec<NodePoint> {
         let Some(inverse) = homography.try_inverse() else { return nodes };
         let mut known: BTreeMap<(i32, i32), usize> = nodes.iter().copied().collect();
@@ -274,7 +272,7 @@ impl View<'_> {
         let mut free: Vec<usize> = (0..self.points.len()).collect();
         free.retain(|i| nodes.iter().all(|(_, known)| known != i));
         let mut free: Vec<_> = free.into_iter().map(at_node).collect();
-        // Of several at one node the nearest counts.
+        // If several points are at one node, the nearest counts.
         free.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (error, rounded, i) in free {
             #[allow(clippy::cast_possible_truncation)] // saturates far from the lattice
@@ -291,7 +289,7 @@ impl View<'_> {
         nodes
     }
 
-    /// Points by place on the board (column, row), some of them beyond it.
+    /// Creates the placement of points at positions on the board (column, row), some of them beyond it.
     fn placement(
         &self,
         points: impl Iterator<Item = NodePoint>,
@@ -302,7 +300,7 @@ impl View<'_> {
         let mut found = vec![false; usize::try_from(board.corners()).unwrap_or(0)];
         let mut score = 0.0;
         for ((column, row), i) in points {
-            // A corner beyond the board is none of it, and nothing else makes a lattice go on there.
+            // Only a larger board continues the lattice, so points beyond the board contradict the placement.
             score -= BEYOND_SCORE;
             if (0..board.columns).contains(&column) && (0..board.rows).contains(&row) {
                 let corner = row * board.columns + column;
@@ -314,7 +312,7 @@ impl View<'_> {
                     - project(&homography, &at);
                 let bright = diagonal.dot(&(self.points[i].squares * diagonal));
                 let is_even = (column + row) % 2 == 0;
-                // The square before corner 0 is dark, and so are those after even corners.
+                // The squares before corner 0 and after even corners are dark.
                 if bright != 0.0 && (bright < 0.0) != is_even {
                     score -= 2.0;
                 }
@@ -333,7 +331,8 @@ impl View<'_> {
         Placement { corners, homography, outline, missing, score: score - missing as f64 }
     }
 
-    /// Number of points inside the board that are no corners of it: a lattice of steps across corners leaves some out.
+    /// Returns the number of points inside the board that are no corners of it: a lattice of steps across corners leaves some
+    /// out.
     fn between(&self, corners: &[Option<i32>], homography: &Matrix3<f64>) -> usize {
         let Some(inverse) = homography.try_inverse() else { return 0 };
         let (right, bottom) = (f64::from(self.board.columns - 1), f64::from(self.board.rows - 1));
@@ -345,7 +344,7 @@ impl View<'_> {
         free.filter(|(point, _)| is_inside(point)).count()
     }
 
-    /// Number of points at the next places of the lattice beyond the board.
+    /// Returns the number of points at the next nodes of the lattice beyond the board.
     pub fn beyond(&self, labelled: &LabelledBoard) -> usize {
         let inverse = labelled.homography.try_inverse().unwrap_or_else(Matrix3::zeros);
         let (right, bottom) = (self.board.columns, self.board.rows);
@@ -364,7 +363,7 @@ impl View<'_> {
         free.filter(|(point, _)| is_beyond(point)).count()
     }
 
-    /// Labels points at the places of corners that have none yet, and fits the homography to all of them.
+    /// Adds points at the positions of corners without one, and fits the homography to all points.
     pub fn completed(&self, placement: &Placement) -> LabelledBoard {
         let mut by_corner: BTreeMap<i32, usize> = BTreeMap::new();
         for (i, corner) in placement.corners.iter().enumerate() {
@@ -394,18 +393,18 @@ impl View<'_> {
 }
 
 impl Placement {
-    /// Number of points that are corners.
+    /// Returns the number of points that are corners.
     pub fn labelled(&self) -> usize {
         self.corners.iter().flatten().count()
     }
 
-    /// Whether the board is at the same place.
+    /// Returns true if the board is at the same position.
     pub fn is_at(&self, other: &Self) -> bool {
         let step = step_at(&self.homography, &Vector2::zeros());
         self.outline.iter().zip(&other.outline).all(|(a, b)| (a - b).norm() < SAME_PLACE * step)
     }
 
-    /// Whether the board is at the same place, or turned there.
+    /// Returns true if the board is at the same position, or turned there.
     pub fn covers(&self, other: &Self) -> bool {
         let step = step_at(&self.homography, &Vector2::zeros());
         let is_outer =
@@ -413,7 +412,7 @@ impl Placement {
         self.outline.iter().all(is_outer)
     }
 
-    /// How far to the right rows run, from −1 to 1.
+    /// Returns the cosine of the direction of rows to the right, from −1 to 1.
     pub fn rightwards(&self) -> f64 {
         let row = self.outline[1] - self.outline[0];
         row.x / row.norm()

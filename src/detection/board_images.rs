@@ -1,4 +1,4 @@
-//! Images of boards, and what was found in them.
+//! Images of boards, and the results of the detection in them.
 
 use std::borrow::Cow;
 
@@ -10,22 +10,22 @@ use crate::image::RawImage;
 use crate::model::BapFeature;
 use crate::quantity::Estimate;
 
-/// An image of a board.
+/// Image of a board.
 pub struct BoardImage<'a> {
     /// Number of the frame.
     pub frame: u32,
-    /// What messages call the image.
+    /// Name of the image in messages.
     pub name: String,
     pub(super) read: Box<dyn Fn() -> Result<Cow<'a, RawImage>> + Sync + 'a>,
 }
 
 impl<'a> BoardImage<'a> {
-    /// An image in memory.
+    /// Creates an image in memory.
     pub fn new(frame: u32, name: impl Into<String>, image: &'a RawImage) -> Self {
         Self { frame, name: name.into(), read: Box::new(move || Ok(Cow::Borrowed(image))) }
     }
 
-    /// An image that is read when its turn comes: a whole set need not fit into memory.
+    /// Creates an image that is read when needed: a whole set need not fit into memory.
     pub fn read_by(
         frame: u32,
         name: impl Into<String>,
@@ -35,46 +35,46 @@ impl<'a> BoardImage<'a> {
     }
 }
 
-/// What was found in an image.
+/// Result of the detection in an image.
 #[derive(Debug)]
 pub struct DetectedFrame {
     /// Number of the frame.
     pub frame: u32,
-    /// What messages call the image.
+    /// Name of the image in messages.
     pub name: String,
-    /// The board, or why it is left out.
+    /// The board, or the reason why the frame is left out.
     pub result: std::result::Result<Detection, Issue>,
-    /// What was done with the micro-images.
+    /// Counts of what was found and dropped.
     pub counts: FrameCounts,
-    /// How its light follows the white image.
+    /// Comparison of its light with the white image.
     pub(super) likeness: Option<Likeness>,
-    /// How many levels the samples of its image were rounded to, if these are few.
+    /// Number of levels that the samples of its image were rounded to, if they are few.
     pub(super) few_levels: Option<u32>,
 }
 
 impl DetectedFrame {
-    /// Number of its features; 0 where it is left out.
+    /// Returns the number of its features; 0 if it is left out.
     #[must_use]
     pub fn features(&self) -> usize {
         self.result.as_ref().map_or(0, |detection| detection.features.len())
     }
 }
 
-/// What was found in a set of images.
+/// Result of the detection in a set of images.
 #[derive(Debug)]
 pub struct DetectedBoards {
-    /// Image by image.
+    /// Results, image by image.
     pub frames: Vec<DetectedFrame>,
-    /// The aperture ratio of the micro-lenses by the edges of all frames, where these show it.
+    /// Aperture ratio of the micro-lenses from the edges of all frames, if they determine it.
     pub aperture_ratio: Option<Estimate>,
-    /// That which corners were fitted with.
+    /// Aperture ratio that the features are determined with.
     pub fitted_with: f64,
-    /// What the user should know: frames left out and why, a doubtful board.
+    /// Findings for the user, such as frames left out with the reason, or a doubtful board.
     pub findings: Vec<Finding>,
 }
 
 impl DetectedBoards {
-    /// The features of all frames.
+    /// Returns the features of all frames.
     #[must_use]
     pub fn features(&self) -> Vec<BapFeature> {
         let found = self.frames.iter().filter_map(|frame| frame.result.as_ref().ok());

@@ -1,7 +1,7 @@
-//! A corner of a checkerboard with edges of one unknown width in a single micro-image, whose blur is not known yet: the model
-//! of its light, and its fit.
+//! Model of the light of a checkerboard corner in a single micro-image, with edges of one unknown width, and its fit. The blur
+//! is not known yet.
 
-// Only what is inlined into a dispatched function is compiled for its registers.
+// Only functions inlined into a dispatched function are compiled for its registers.
 #![allow(clippy::inline_always)]
 
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
@@ -11,43 +11,43 @@ use super::patch::Patch;
 use crate::numerics::simd::{Lanes, products, weighted_squares};
 use crate::numerics::{Descent, LeastSquares};
 
-/// Two edges that cross: light m + h at directions between n₁ and n₂, m − h beside.
+/// Two crossing edges with the normals n₁ and n₂: light m + h between n₁ and n₂ and opposite, m − h elsewhere.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Corner {
     /// Offset from the centre of the micro-image, px.
     pub place: Vector2<f64>,
     /// Directions of the edges, rad.
     pub angles: [f64; 2],
-    /// m.
+    /// Mean light m.
     pub level: f64,
-    /// h.
+    /// Contrast h.
     pub contrast: f64,
     /// Half the width over which a step rises, px.
     pub width: f64,
-    /// Covariance of the place, px².
+    /// Covariance of the position, px².
     pub covariance: Matrix2<f64>,
-    /// Part of the variance of the light that it explains.
+    /// Part of the variance of the light that the corner explains.
     pub explained: f64,
 }
 
-/// Parameters of the model: place (u, v), level, contrast, both directions and width.
+/// Number of parameters: position (u, v), level, contrast, both directions and width.
 const PARAMETERS: usize = 7;
 
-/// How corners are followed down: to a third of a hundredth of a pixel, far below their uncertainty. Starts
-/// are so near that few steps are needed; in single precision no finer damping makes a difference.
+/// Settings of the fit, which ends at a third of a hundredth of a pixel, far below the uncertainty of corners. Starts are so
+/// near that few steps are needed; in single precision no finer damping makes a difference.
 const DESCENT: Descent =
     Descent { steps: 12, settled: 0.003, unseen: 0.0, factor: 10.0, damping: (1e-6, 1e4) };
-/// Longest step of the place, px, of a direction, rad, and of the width, px: beyond, the linear model no
-/// longer describes the light.
+/// Longest steps: of the position, px, of a direction, rad, and of the width, px. Beyond them, the linear model no longer
+/// describes the light.
 const LONGEST_STEP_PX: f64 = 2.0;
 const LONGEST_TURN_RAD: f64 = 0.3;
 const LONGEST_WIDENING_PX: f64 = 1.0;
-/// Half widths of steps: from that of a sharp step in pixels to that of the widest blur, px.
+/// Smallest and largest half width of steps, px: of a sharp step in pixels, and of the widest blur.
 const WIDTHS_PX: (f64, f64) = (0.6, 8.0);
-/// A corner further from the centre, px, is in no micro-image: the fit has led nowhere.
+/// Distance from the centre, px, that no micro-image reaches: a corner beyond it means that the fit has failed.
 const FURTHEST_PX: f64 = 30.0;
 
-/// The two edges of a corner, in single precision as the light.
+/// Edges of a corner, in single precision like the light.
 struct Edges<S: Simd> {
     place: [Lanes<S>; 2],
     inverse: Lanes<S>,
@@ -56,13 +56,13 @@ struct Edges<S: Simd> {
     one: Lanes<S>,
 }
 
-/// What some pixels show of two edges.
+/// Values of two edges in some pixels.
 struct SeenEdges<S: Simd> {
-    /// The place less that of the corner, in half widths of steps.
+    /// Position relative to the corner, in half widths of steps.
     from: [Lanes<S>; 2],
     /// Distances from the edges, in half widths.
     distance: [Lanes<S>; 2],
-    /// The steps there, and their slopes.
+    /// Values of the steps, and their slopes.
     steps: [Lanes<S>; 2],
     slopes: [Lanes<S>; 2],
 }
@@ -91,7 +91,7 @@ impl<S: Simd> Edges<S> {
         SeenEdges { from: [x, y], distance, steps: [t1, t2], slopes: [e1, e2] }
     }
 
-    /// A step at a distance from it in its half widths, −1 to 1, and its slope: t (3 − t²)/2 and 3 (1 − t²)/2.
+    /// Returns a step from −1 to 1 at a distance in its half widths, and its slope: t (3 − t²)/2 and 3 (1 − t²)/2.
     #[inline(always)]
     fn step(&self, distance: Lanes<S>) -> [Lanes<S>; 2] {
         let t = distance.clamp(-self.one, self.one);
@@ -99,8 +99,8 @@ impl<S: Simd> Edges<S> {
         [t * (half_slope + self.one), half_slope * 3.0]
     }
 
-    /// How the product of both steps changes with the place of the corner, px⁻¹, with both directions, and with the width of
-    /// the steps, times that.
+    /// Returns the derivatives of the product of both steps by the position of the corner, px⁻¹, by both directions, and by the
+    /// width of the steps, times this width.
     #[inline(always)]
     fn derivatives(&self, seen: &SeenEdges<S>) -> [Lanes<S>; 5] {
         let ([x, y], [[s1, c1], [s2, c2]]) = (seen.from, self.directions);
@@ -118,7 +118,7 @@ impl<S: Simd> Edges<S> {
 }
 
 impl Corner {
-    /// Fits the corner to the light; `None` if that leads nowhere.
+    /// Fits the corner to the light; `None` if the fit fails.
     pub fn fitted(&self, patch: &Patch, room: &mut FitRoom) -> Option<Self> {
         let pixels = patch.x.len();
         room.trial.resize(pixels);
@@ -135,13 +135,14 @@ impl Corner {
         finite.then_some(corner)
     }
 
-    /// Positive along directions to bright squares, of a size that does not depend on the contrast.
+    /// Returns a quadratic form that is positive along directions to bright squares and does not depend on the size of the
+    /// contrast.
     pub fn squares(&self) -> Matrix2<f64> {
         let [a, b] = self.angles.map(|angle| Vector2::new(-angle.sin(), angle.cos()));
         (a * b.transpose() + b * a.transpose()) * self.contrast.signum()
     }
 
-    /// See [`imbalance`].
+    /// Returns the [`imbalance`] of the corner.
     pub fn imbalance(&self, patch: &Patch) -> Option<f64> {
         let mut room = [const { Vec::new() }; 3];
         for row in &mut room {
@@ -151,18 +152,18 @@ impl Corner {
         imbalance(room.each_ref().map(Vec::as_slice), patch)
     }
 
-    /// Standard deviation of the place per axis, px, the mean of both axes.
+    /// Returns the standard deviation of the position per axis, px, as the mean of both axes.
     pub fn std_dev_px(&self) -> f64 {
         (self.covariance.trace() / 2.0).max(0.0).sqrt()
     }
 
-    /// Sine of the angle between the edges.
+    /// Returns the sine of the angle between the edges.
     pub fn opening(&self) -> f64 {
         (self.angles[0] - self.angles[1]).sin().abs()
     }
 }
 
-/// Calls `add` for some pixels after the other: with their first and last index, and their places.
+/// Calls `add` for groups of pixels in turn, with their indices and positions.
 #[inline(always)]
 fn for_pixels<S: Simd>(
     simd: S,
@@ -177,9 +178,10 @@ fn for_pixels<S: Simd>(
     }
 }
 
-/// How far the four quarters of a corner are from two bright and two dark ones, by the steps across its edges and their
-/// product in each pixel: the contrast across single edges over that across both. 0 for a corner of a checkerboard, 1 where
-/// only one quarter is dark, as at the outer corners of the board; `None` if the light does not determine it.
+/// Returns the deviation of a corner from two bright and two dark quarters: the contrast across single edges over the contrast
+/// across both. It follows from the steps across its edges and their product in each pixel. It is 0 for a corner of a
+/// checkerboard, and 1 if only one quarter is dark, as at the outer corners of the board; `None` if the light does not
+/// determine it.
 pub(super) fn imbalance(steps: [&[f32]; 3], patch: &Patch) -> Option<f64> {
     let (normal, right) = Arch::new().dispatch(Quarters { steps, patch });
     let normal = Matrix4::from_fn(|a, b| normal[a.max(b)][a.min(b)]);
@@ -187,7 +189,7 @@ pub(super) fn imbalance(steps: [&[f32]; 3], patch: &Patch) -> Option<f64> {
     Some(f64::from(levels[1].abs().max(levels[2].abs()) / levels[3].abs()))
 }
 
-/// Normal equations of the mean light, the steps across either edge, and that across both.
+/// Normal equations of the mean light, of the steps across either edge, and of the step across both.
 struct Quarters<'a> {
     steps: [&'a [f32]; 3],
     patch: &'a Patch,
@@ -206,7 +208,7 @@ impl WithSimd for Quarters<'_> {
     }
 }
 
-/// The steps across both edges and their product, pixel by pixel.
+/// Computation of the steps across both edges and their product, pixel by pixel.
 struct Steps<'a> {
     corner: &'a Corner,
     patch: &'a Patch,
@@ -229,13 +231,13 @@ impl WithSimd for Steps<'_> {
     }
 }
 
-/// The weighted sum of squares of the light less that of a corner.
+/// Weighted sum of squares of the light minus the model of a corner.
 struct Squares<'a> {
     patch: &'a Patch,
     room: &'a mut FitRoom,
 }
 
-/// Room for a fit, which others may have used before.
+/// Buffers for a fit, which can be reused.
 #[derive(Default)]
 pub(super) struct FitRoom {
     trial: Model,
@@ -247,7 +249,7 @@ impl LeastSquares<PARAMETERS> for Squares<'_> {
     type Point = Corner;
 
     fn evaluate(&mut self, at: &Corner) -> Option<f64> {
-        // The same operations in the widest registers that the processor has.
+        // The processor's widest registers carry out the same operations.
         let Self { room: FitRoom { trial, .. }, patch } = self;
         trial.place = at.place;
         Some(Arch::new().dispatch(Evaluation { model: trial, corner: at, patch }))
@@ -292,10 +294,10 @@ impl LeastSquares<PARAMETERS> for Squares<'_> {
     }
 }
 
-/// The model of the light and its derivatives, pixel by pixel.
+/// Model of the light and its derivatives, pixel by pixel.
 #[derive(Default)]
 struct Model {
-    /// Place of the corner, px.
+    /// Position of the corner, px.
     place: Vector2<f64>,
     residual: Vec<f32>,
     /// Derivatives by the parameters.
@@ -315,7 +317,7 @@ impl Model {
 struct Products<'a> {
     model: &'a Model,
     weight: &'a [f32],
-    /// Room for a row times the weights.
+    /// Buffer for a row times the weights.
     weighted: &'a mut [f32],
 }
 
@@ -329,7 +331,7 @@ impl WithSimd for Products<'_> {
     }
 }
 
-/// One evaluation of a model.
+/// Evaluation of a model.
 struct Evaluation<'a> {
     model: &'a mut Model,
     corner: &'a Corner,

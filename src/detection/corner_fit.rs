@@ -1,12 +1,12 @@
-//! The fit of a board corner in a micro-image whose blur is known, and how its place depends on all that the fit holds.
+//! Fit of a board corner in a micro-image with known blur, and the sensitivities of its position to all held quantities.
 //!
-//! Unknowns are the place of the corner and two levels. Everything else is held: the slope of the corner's line, from which
-//! its blur radius follows, the aberrations of the main lens, the sharpness of edges, and what was measured in white images.
-//! All derivatives come from the same normal equations: with N, m and n the blocks of unknowns, of unknowns with held
-//! quantities, and of these, the unknowns change by −N⁻¹ m with the held ones, and n − mᵀ N⁻¹ m is the information that the light
-//! has of these by itself.
+//! The unknowns are the position of the corner and two levels. All else is held: the slope of the corner's line, which gives
+//! its blur radius, the aberrations of the main lens, the sharpness of edges, and the measurements from white images. All
+//! derivatives follow from the same normal equations. N, m and n are their blocks of the unknowns, of unknowns with held
+//! quantities, and of held quantities. The derivatives of the unknowns by the held quantities are −N⁻¹ m, and n − mᵀ N⁻¹ m is
+//! the information of the light alone about the held quantities.
 
-// Only what is inlined into a dispatched function is compiled for its registers.
+// Only functions inlined into a dispatched function are compiled for its registers.
 #![allow(clippy::inline_always)]
 
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
@@ -21,45 +21,45 @@ use crate::model::taken::{APERTURE_RATIO, FALL_OFF, INTERCEPT, POINT_SPREAD, PUP
 use crate::numerics::simd::{dot, products};
 use crate::optics::{Bundle, Column, CornerEdges, CornerLight};
 
-/// Derivatives of a place by what is taken from white images, px: see [`crate::model::TAKEN_FROM_WHITES`].
+/// Derivatives of a position by the quantities from white images, px: see [`crate::model::TAKEN_FROM_WHITES`].
 pub(super) type ByTaken = SMatrix<f64, 2, TAKEN>;
 
-/// A corner that was fitted.
+/// Fitted corner.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FittedCorner {
     pub corner: Corner,
-    /// How its place changes with what was held.
+    /// Derivatives of its position by held quantities.
     pub sensitivities: Sensitivities,
-    /// What its light tells about its blur radius and the variance of its edges.
+    /// Information of its light about its blur radius and the variance of its edges.
     pub width: EdgeWidth,
 }
 
-/// Derivatives of the place of a corner.
+/// Derivatives of the position of a corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Sensitivities {
-    /// By the slope, px.
+    /// Derivative by the slope, px.
     pub by_slope: Vector2<f64>,
-    /// By S, C and T, px³.
+    /// Derivatives by S, C and T, px³.
     pub by_aberration: SMatrix<f64, 2, 3>,
-    /// By what is taken from white images.
+    /// Derivatives by the quantities from white images.
     pub by_taken: ByTaken,
 }
 
-/// What is held.
+/// Quantities that the fit holds.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Held<'a> {
     pub optics: &'a MicroOptics,
-    /// The slope of the line of the corner.
+    /// Slope of the line of the corner.
     pub slope: f64,
-    /// The aberrations of the main lens, and the centre of the micro-image, px.
+    /// Aberrations of the main lens, and centre of the micro-image, px.
     pub aberration: &'a Aberration,
     pub center: Vector2<f64>,
-    /// Variance of the point spread along an axis, and by which edges are wider than that, px².
+    /// Variance of the point spread along an axis, and excess edge variance, px².
     pub point_spread_px2: f64,
     pub wider_px2: f64,
 }
 
-/// Room for a fit, which others may have used before.
+/// Buffers for a fit, which can be reused.
 #[derive(Default)]
 pub(super) struct FitRoom {
     light: CornerLight,
@@ -68,9 +68,9 @@ pub(super) struct FitRoom {
     weighted: Vec<f32>,
 }
 
-/// Unknowns: place (u, v), level, contrast.
+/// Number of unknowns: position (u, v), level, contrast.
 const UNKNOWNS: usize = 4;
-/// The columns of what is held.
+/// Columns of held quantities.
 const OF_HELD: [Column; 9] = [
     Column::BlurRadius,
     Column::EdgeVariance,
@@ -84,15 +84,16 @@ const OF_HELD: [Column; 9] = [
 ];
 const HELD: usize = OF_HELD.len();
 
-/// Evaluations of the light at most. Corners start within a pixel, of which one step leaves a few hundredths.
+/// Largest number of evaluations of the light. Corners start within a pixel, and one step leaves a few hundredths.
 const EVALUATIONS: usize = 5;
-/// A step of so many px leaves a few thousandths of a pixel at most, and has the size of the noise.
+/// Length of a step, px, below which it is the last one: it leaves a few thousandths of a pixel at most, and has the size of
+/// the noise.
 const LAST_STEP_PX: f64 = 0.1;
-/// Longest step, px: beyond, the linear model no longer describes the light.
+/// Longest step, px. Beyond it, the linear model no longer describes the light.
 const LONGEST_STEP_PX: f64 = 1.0;
-/// Further than all light of a micro-image, px.
+/// Distance beyond all light of a micro-image, px.
 const FAR_PX: f64 = 1e3;
-/// A corner further from where it was expected, px, is another.
+/// Distance from the expected position, px, beyond which a corner is another one.
 const FURTHEST_PX: f64 = 3.0;
 
 impl Held<'_> {
@@ -105,11 +106,11 @@ impl Held<'_> {
             .wider(self.wider_px2)
     }
 
-    /// How far a corner is from a corner of four quarters, see [`imbalance`].
+    /// Returns the [`imbalance`] of a corner.
     pub fn imbalance(&self, corner: &Corner, patch: &Patch, room: &mut FitRoom) -> Option<f64> {
         let bundle = self.bundle();
         let mut steps = [const { Vec::new() }; 3];
-        // Far along one edge the other one no longer shows.
+        // A corner moved far along one edge shows the step across this edge alone.
         let moved = [Some(corner.angles[0]), Some(corner.angles[1]), None];
         for (step, along) in steps.iter_mut().zip(moved) {
             let far = along.map_or_else(Vector2::zeros, |angle| {
@@ -122,8 +123,8 @@ impl Held<'_> {
         imbalance(steps.each_ref().map(Vec::as_slice), patch)
     }
 
-    /// Fits the place and levels of a corner; `None` if that leads nowhere.
-    /// `far` is whether it is expected to move by more than a step.
+    /// Fits the position and levels of a corner; `None` if the fit fails. `far` is true if it is expected to move by more than
+    /// a step.
     pub fn fit(
         &self,
         start: &Corner,
@@ -135,7 +136,7 @@ impl Held<'_> {
         let mut corner = *start;
         for evaluation in 1..=EVALUATIONS {
             let edges = CornerEdges { place: corner.place, angles: corner.angles };
-            // What is only a step on the way needs no other derivatives.
+            // An intermediate step needs no other derivatives.
             let on_the_way = far && evaluation == 1;
             if on_the_way {
                 bundle.corner_shape(&edges, &patch.x, &patch.y, &mut room.light);
@@ -158,7 +159,7 @@ impl Held<'_> {
         None
     }
 
-    /// The corner after its last step.
+    /// Completes the corner after its last step.
     fn fitted(
         &self,
         mut corner: Corner,
@@ -176,7 +177,7 @@ impl Held<'_> {
         let follow = step.inverse * mixed;
         let by_held = -follow.fixed_rows::<2>(0).into_owned();
         let sensitivities = self.sensitivities(&by_held);
-        // What the light says by itself of the blur radius and of the width of edges.
+        // Information of the light alone about the blur radius and the edge variance.
         let of_two = mixed.fixed_columns::<2>(0).into_owned();
         let left = own - of_two.transpose() * follow.fixed_columns::<2>(0);
         let change = right - of_two.transpose() * step.unknowns;
@@ -186,7 +187,7 @@ impl Held<'_> {
         (finite && width.is_finite()).then_some(FittedCorner { corner, sensitivities, width })
     }
 
-    /// Derivatives by what is held, from those by the columns.
+    /// Converts derivatives by the columns to derivatives by the held quantities.
     fn sensitivities(&self, by: &SMatrix<f64, 2, HELD>) -> Sensitivities {
         let of = |column: Column| -> Vector2<f64> {
             let i = OF_HELD.iter().position(|c| *c == column).expect("a column of what is held");
@@ -195,7 +196,7 @@ impl Held<'_> {
         let Self { optics, slope, .. } = self;
         let by_radius = of(Column::BlurRadius);
         let of_aberration = [Column::Spherical, Column::Coma, Column::Astigmatism].map(of);
-        // 1/A = γ − 1 times S, C and T.
+        // The coefficients over A are S, C and T times 1/A = γ − 1.
         let mut by_slope = by_radius * optics.blur_by_slope_px();
         for (by, coefficient) in of_aberration.iter().zip(&self.aberration.coefficients_per_px2) {
             by_slope += by * *coefficient;
@@ -220,21 +221,21 @@ impl Held<'_> {
     }
 }
 
-/// One step of Gauss and Newton.
+/// Gauss-Newton step.
 struct Step {
     place: Vector2<f64>,
     /// Changes of level and contrast.
     levels: Vector2<f64>,
-    /// The unknowns: the place times the contrast, and the levels.
+    /// Unknowns: the position times the contrast, and the levels.
     unknowns: Vector4<f64>,
     /// Inverse of their normal matrix, for a contrast of 1.
     inverse: Matrix4<f64>,
-    /// The weighted sum of squares that is left.
+    /// Remaining weighted sum of squares.
     cost: f64,
 }
 
 impl FitRoom {
-    /// The step from a corner whose light was evaluated; `None` if the light does not determine it.
+    /// Computes the step from a corner whose light was evaluated; `None` if the light does not determine it.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn step(&mut self, corner: &Corner, patch: &Patch) -> Option<Step> {
         let n = patch.x.len();
@@ -267,8 +268,8 @@ impl FitRoom {
         })
     }
 
-    /// The blocks of the normal equations with what is held: with the unknowns, and of the blur radius and the width of edges
-    /// by themselves, with their right side.
+    /// Computes the blocks of the normal equations with the held quantities: with the unknowns, and of the blur radius and the
+    /// edge variance alone, with their right-hand side.
     fn held(
         &mut self,
         patch: &Patch,
@@ -290,12 +291,12 @@ fn shape_of(light: &CornerLight) -> &[f32] {
     light.column(Column::Shape)
 }
 
-/// The normal equations of the unknowns, and the weighted sum of squares.
+/// Normal equations of the unknowns, and the weighted sum of squares.
 struct OfUnknowns<'a> {
     rows: [&'a [f32]; UNKNOWNS],
     residual: &'a [f32],
     weight: &'a [f32],
-    /// Room for a row times the weights.
+    /// Buffer for a row times the weights.
     weighted: &'a mut [f32],
 }
 
@@ -313,13 +314,13 @@ impl WithSimd for OfUnknowns<'_> {
     }
 }
 
-/// See [`FitRoom::held`].
+/// Sums for [`FitRoom::held`].
 struct OfHeld<'a> {
     unknowns: [&'a [f32]; UNKNOWNS],
     held: [&'a [f32]; HELD],
     residual: &'a [f32],
     weight: &'a [f32],
-    /// Room for a row times the weights.
+    /// Buffer for a row times the weights.
     weighted: &'a mut [f32],
 }
 

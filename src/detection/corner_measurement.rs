@@ -1,4 +1,4 @@
-//! A corner as it was seen in a micro-image, and how that depends on what was taken for granted.
+//! Measurement of a corner in a micro-image, with its sensitivities to assumed quantities.
 
 use nalgebra::{SMatrix, Vector2, Vector3};
 
@@ -8,23 +8,23 @@ use super::edge_width::EdgeWidth;
 use super::{CornerObservation, MicroOptics};
 use crate::model::TAKEN;
 
-/// An observation of a corner, made with the slope and the aberration that were known before. Places are
-/// straightened, see [`super::Aberration`].
+/// Observation of a corner, made with the slope and the aberration that were known before. Positions are corrected for the
+/// aberration, see [`super::Aberration`].
 pub(super) struct CornerMeasurement {
     pub observation: CornerObservation,
     pub corner: Corner,
-    /// γ₀, the slope that its line had before.
+    /// Slope γ₀ that its line had before.
     pub slope_before: f64,
-    /// By how much the observation moves with that slope and the aberration.
+    /// Sensitivities of the position to this slope, to the aberration, and to the quantities from white images.
     pub sensitivities: Sensitivities,
-    /// What its light tells about its blur radius and the variance of its edges.
+    /// Information of its light about its blur radius and the variance of its edges.
     pub width: EdgeWidth,
 }
 
 impl CornerMeasurement {
-    /// The observation as it enters the line: its place i + (γ − γ₀) sensitivity = β + γ c is a line in γ as well, that
-    /// of i − γ₀ sensitivity over c − sensitivity. So the slope and the blur that follows from it are found together;
-    /// by turns, each round would leave half of an error.
+    /// Returns the observation for the fit of the line. With the sensitivity s to the slope, the line i + (γ − γ₀) s = β + γ c
+    /// is linear in γ too: i − γ₀ s over c − s. The fit thus finds the slope together with the blur that follows from it. Fits
+    /// of both in turn would leave half of an error in each round.
     pub fn on_line(&self) -> CornerObservation {
         CornerObservation {
             center: self.observation.center - self.sensitivities.by_slope,
@@ -33,25 +33,26 @@ impl CornerMeasurement {
         }
     }
 
-    /// Adds to the sensitivities by what is taken from white images what follows from how the slope of the line changes with it.
+    /// Adds the effect of the slope of the line to the sensitivities to quantities from white images.
     pub fn take_slope(&mut self, slope_by_taken: &SMatrix<f64, 1, TAKEN>) {
         self.sensitivities.by_taken += self.sensitivities.by_slope * slope_by_taken;
     }
 
-    /// Moves the observation to where another aberration puts it.
+    /// Moves the observation by a change of the aberration.
     pub fn change_aberration(&mut self, change: &Vector3<f64>) {
         self.moved(&(self.sensitivities.by_aberration * change));
     }
 
-    /// Moves the observation to where the blur radius of another slope puts it. The change of the blur radius is then from the
-    /// one of that slope.
+    /// Moves the observation to the blur radius of another slope. The change of the blur radius is then relative to this
+    /// radius.
     pub fn change_slope(&mut self, slope: f64, optics: &MicroOptics) {
         self.moved(&(self.sensitivities.by_slope * (slope - self.slope_before)));
         self.width = self.width_at(slope, optics);
         self.slope_before = slope;
     }
 
-    /// What its light tells about the change of the blur radius from the one of a slope, and about the variance of its edges.
+    /// Returns the information about the change of the blur radius from the radius of a slope, and about the variance of its
+    /// edges.
     pub fn width_at(&self, slope: f64, optics: &MicroOptics) -> EdgeWidth {
         let wider_px = optics.blur_radius_px(slope) - optics.blur_radius_px(self.slope_before);
         self.width.about(&Vector2::new(-wider_px, 0.0))
@@ -71,7 +72,7 @@ mod tests {
     use super::super::micro_images::tests::micro_images;
     use super::*;
 
-    /// The measured blur radius does not depend on the slope that the corner was fitted with.
+    /// Checks that the measured blur radius does not depend on the slope that the corner was fitted with.
     #[test]
     fn the_measured_blur_radius_stays_with_another_slope() {
         let optics = micro_images(23.0).optics(1, 1);

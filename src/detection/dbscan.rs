@@ -4,12 +4,11 @@ use nalgebra::Vector2;
 
 use super::cells::Cells;
 
-/// The cluster of every point, counted from 0 in the order of the first member; `None` for points
-/// that are in no dense place.
+/// Returns the cluster of every point, counted from 0 in the order of the first member; `None` for points in no dense region.
 ///
-/// A point with at least `fewest` points (itself included) up to `reach` away is in the core of a
-/// cluster; clusters are what cores within reach connect, with the points within their reach. A reach
-/// of 0 connects points at the same place; points that are not finite are near none.
+/// A point with at least `fewest` points (itself included) up to `reach` away is a core. Cores within reach of each other form
+/// a cluster, with all points within their reach. A reach of 0 connects points at the same position; points that are not finite
+/// have no neighbours.
 pub(super) fn dbscan(points: &[Vector2<f64>], reach: f64, fewest: usize) -> Vec<Option<usize>> {
     let cells = Cells::new(points, reach);
     let near = |i: usize| cells.near(&points[i], reach);
@@ -51,7 +50,7 @@ mod tests {
             (1.0, 0.0),
             (50.0, 50.0),
             (2.0, 0.0),
-            // Within reach of a member of the first cluster, but with too few neighbours itself.
+            // This point is within reach of a member of the first cluster, but has too few neighbours itself.
             (3.4, 0.0),
             (20.0, 20.0),
             (20.0, 21.0),
@@ -67,7 +66,7 @@ mod tests {
         assert_eq!(dbscan(&points[..1], 1.0, 1), [Some(0)]);
     }
 
-    /// Neither of them may take memory or time without bound, nor overflow.
+    /// Checks that neither takes memory or time without bound, or overflows.
     #[test]
     fn any_reach_and_any_spread_will_do() {
         let places = [0.0, 0.0, 1.0, 1e300, -1e300, 1e18, f64::INFINITY, f64::NAN];

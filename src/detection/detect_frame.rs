@@ -1,4 +1,4 @@
-//! The detection in one frame: which passes are made, and whether their result is trusted.
+//! Detection in one frame: its passes, and the checks of their results.
 
 use std::time::Instant;
 
@@ -17,20 +17,20 @@ use crate::finding::Issue;
 use crate::image::Grey;
 use crate::model::MIN_CORNERS;
 
-/// A side of the board with so many corners surely in view has to show one of them; surely is this
-/// many pitches from the border.
+/// Number of corners along a side of the board, surely in view, of which one has to be found; and distance from the border, in
+/// pitches, from which they are surely in view.
 const SIDE: usize = 3;
 const SURE_MARGIN: f64 = 2.5;
-/// Labels are sure where no larger part of the corners does not belong to the board, and this part of those in view is found:
-/// with labels of other squares, corners are left over on one side of the board and missing on the other.
+/// Largest part of the corners off the board, and smallest part of the corners in view that are found, for sure labels. With
+/// labels of other squares, corners are left over on one side of the board and missing on the other.
 const OFF_BOARD: f64 = 0.05;
 const FOUND: f64 = 0.9;
-/// Labels are wrong where the second pass loses so many labelled corners, and so large a part of them: of boards in their
-/// place it lost two at most and less than a tenth in simulated frames, of a lattice with other rows than the board's half.
+/// Number and part of the labelled corners that the second pass loses if labels are wrong. In simulated frames with right
+/// labels it lost two at most and less than a tenth; on a lattice with other rows than the board's it lost half.
 const MANY_LOST: usize = 4;
 const LOST: f64 = 0.25;
-/// Detects the features of a frame, with the counts of what was found and dropped in it; the reason if
-/// it does not show the board.
+/// Detects the features of a frame, and counts what was found and dropped in it. Returns an error if it does not show the
+/// board.
 pub fn detect_frame(
     frame: u32,
     image: &Grey,
@@ -73,8 +73,8 @@ fn detect(frame: &Frame, counts: &mut FrameCounts) -> Result<Detection, Issue> {
     of_board(frame, &first, counts).map(|(detection, _)| detection)
 }
 
-/// The board that shows in micro-images of which some, or all, were searched; and whether it surely is where its labels put
-/// it: few corners do not belong to it, and most of its own are found.
+/// Detects the board in the micro-images that were searched. The flag is true if its labels are sure: few corners do not belong
+/// to the board, and most of its own are found.
 fn of_board(
     frame: &Frame,
     first: &FirstPass,
@@ -109,7 +109,7 @@ fn of_board(
     Ok((detection(frame, passed, labelled.homography), is_sure))
 }
 
-/// The board that the pinhole images of groups show.
+/// Labels the pinhole images of groups with the corners of the board.
 fn labelled_board(
     frame: &Frame,
     observations: &[CornerObservation],
@@ -134,7 +134,7 @@ fn labelled_board(
     Ok(labelled)
 }
 
-/// The reason if none of the corners along a side of the board was found, though it is in view.
+/// Returns an error if none of the corners along a side of the board was found, though it is in view.
 fn check_sides(
     frame: &Frame,
     labelled: &LabelledBoard,
@@ -160,7 +160,7 @@ fn check_sides(
     Ok(())
 }
 
-/// The reason if so many labelled corners were lost that their labels are wrong.
+/// Returns an error if so many labelled corners were lost that their labels are wrong.
 fn check_lost(lost: usize, labelled: usize) -> Result<(), Issue> {
     if lost >= MANY_LOST && lost as f64 > LOST * labelled as f64 {
         return Err(Issue::LabelsLost { lost, labelled });

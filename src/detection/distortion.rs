@@ -1,42 +1,42 @@
-//! How distortion shears the squares of a board: by the homography alone the edges of a corner would have
-//! directions that they do not have in the image, and its place would move along them.
+//! Shear of the squares of a board by distortion. With the homography alone, the edges of a corner would have wrong directions,
+//! and its position would move along them.
 
 use nalgebra::{Matrix2, SVector, Vector1, Vector2};
 
 use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
 
-/// Terms: radial distortion of the third and fifth order and tangential distortion (Brown, Conrady), and what they
-/// change in the homography, which was fitted without them.
+/// Number of terms: radial distortion of the third and fifth order, tangential distortion (Brown, Conrady), and their effect on
+/// the homography, which was fitted without them.
 const TERMS: usize = 12;
 
-/// Where a homography puts the pinhole image of a corner, and where it is, px.
+/// Pinhole image of a corner, px: predicted by a homography, and observed.
 pub(super) type Pinholes = (Vector2<f64>, Vector2<f64>);
 
-/// How far pinhole images lie from where a homography puts them.
+/// Displacement of pinhole images from the prediction of a homography.
 pub(super) struct Distortion {
     scale: Normalised,
-    /// Of each term, px.
+    /// Coefficient of each term, px.
     coefficients: SVector<f64, TERMS>,
 }
 
-/// Places as multiples of `size_px` from the middle of the image.
+/// Normalisation of positions: multiples of `size_px` from the middle of the image.
 #[derive(Clone, Copy)]
 struct Normalised {
     middle_px: Vector2<f64>,
     size_px: f64,
 }
 
-/// As for the slopes of corners: some may be labelled wrongly. Pinhole images are not known better than the least, px.
+/// Outliers, as for the slopes of corners, are wrong labels. Pinhole images are not known better than `least`, px.
 const OUTLIERS: Outliers =
     Outliers { weight: Weight::Smooth, scale: Scale::Median, scales: 4.5, least: 0.02, slack: 0.0 };
 const ROUNDS: usize = 10;
-/// Terms are held at nothing by so much of the weight of a corner: where there are few, the smallest terms will do.
+/// Weight, relative to a corner, with which terms are held at 0: with few corners, the smallest terms suffice.
 const HELD: f64 = 1e-4;
-/// Step of a derivative, in sizes of the image.
+/// Step of a derivative, in units of `size_px`.
 const STEP: f64 = 1e-3;
 
 impl Distortion {
-    /// Of the corners of a board, robustly; none if there are no corners.
+    /// Fits the distortion to the corners of a board, robustly; it is 0 if there are no corners.
     pub fn fit(corners: &[Pinholes], middle_px: Vector2<f64>) -> Self {
         let scale = Normalised { middle_px, size_px: middle_px.norm() };
         let none = Self { scale, coefficients: SVector::zeros() };
@@ -44,7 +44,7 @@ impl Distortion {
             .map_or(none, |fitted| fitted.model)
     }
 
-    /// How a small step from a place in the image of the homography shows.
+    /// Returns the derivative of observed by predicted pinhole images at a predicted position.
     pub fn jacobian(&self, place: &Vector2<f64>) -> Matrix2<f64> {
         let step = STEP * self.scale.size_px;
         let columns = [Vector2::x(), Vector2::y()].map(|axis| {
@@ -54,14 +54,14 @@ impl Distortion {
         Matrix2::from_columns(&columns)
     }
 
-    /// How far a pinhole image lies from where the homography puts it, px.
+    /// Returns the displacement of a pinhole image from its prediction, px.
     fn at(&self, place: &Vector2<f64>) -> Vector2<f64> {
         self.scale.terms(place).map(|terms| terms.dot(&self.coefficients)).into()
     }
 }
 
 impl Normalised {
-    /// The terms at a place, along u and v.
+    /// Returns the terms at a position, along u and v.
     fn terms(&self, place: &Vector2<f64>) -> [SVector<f64, TERMS>; 2] {
         let p = (place - self.middle_px) / self.size_px;
         let (r2, xy) = (p.norm_squared(), p.x * p.y);
@@ -137,7 +137,7 @@ mod tests {
 
     const MIDDLE: Vector2<f64> = Vector2::new(500.0, 375.0);
 
-    /// A distorting lens: 3 % at the corner of the image.
+    /// Returns the image of a position by a distorting lens, with 3 % at the corner of the image.
     fn distorted(place: &Vector2<f64>) -> Vector2<f64> {
         let p = (place - MIDDLE) / MIDDLE.norm();
         place - p * (0.03 * p.norm_squared() * MIDDLE.norm()) + Vector2::new(p.x * p.y, 0.0) * 2.0
@@ -155,7 +155,7 @@ mod tests {
     #[test]
     fn squares_are_sheared_as_they_show() {
         let mut corners = board(40);
-        // One that is labelled wrongly.
+        // One label is wrong.
         corners[13].1.x += 30.0;
         let found = Distortion::fit(&corners, MIDDLE);
         for place in [Vector2::new(180.0, 200.0), Vector2::new(700.0, 460.0)] {

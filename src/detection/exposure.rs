@@ -1,4 +1,4 @@
-//! How bright the squares of the board are in a frame, and whether its exposure allows for detection.
+//! Brightness of the squares of the board in a frame, and the check of its exposure.
 
 use rayon::prelude::*;
 
@@ -8,46 +8,46 @@ use crate::checks::boards::{self as checks, UnusableParts};
 use crate::finding::Issue;
 use crate::numerics::median;
 
-/// So many micro-images show how bright the frame is, and every second one along both rows and columns at most.
+/// Number of micro-images that suffice for the brightness of the frame, and smallest step between them along rows and columns.
 const ENOUGH: usize = 4000;
 const LEAST_STEP: i32 = 2;
-/// Darkest and brightest part of the micro-images that are left out for the levels.
+/// Part of the micro-images, darkest and brightest, that is left out of the levels.
 const TAIL: f64 = 0.02;
-/// A frame whose light differs by less than this part shows nothing, nor one that differs by less than a
-/// tenth of it relative to the white image.
+/// Smallest contrast of a frame with a board, relative to its brightest light, and lower limit of the latter, relative to the
+/// white image.
 const LEAST_DIFFERENCE: f64 = 0.04;
 const LEAST_LEVEL: f64 = 0.1;
-/// Micro-images count as saturated beyond this part of their pixels, in a board's image and in the white
-/// image, of which more is bright.
+/// Part of saturated pixels above which a micro-image counts as saturated: in a board's image, and in the white image, more of
+/// which is bright.
 const SATURATED: f32 = 0.2;
 const SATURATED_WHITE: f32 = 0.5;
 
-/// The white image is covered where it has less than this part of its usual light.
+/// Part of its usual light below which the white image is covered.
 const COVERED: f64 = 0.1;
 
-/// How bright a micro-image is.
+/// Brightness of a micro-image.
 #[derive(Debug, Clone, Copy)]
 struct Level {
     /// Mean light, relative to the white image.
     mean: f64,
-    /// The brightest light in the white image.
+    /// Brightest light in the white image.
     white: f64,
 }
 
-/// Half the difference between the bright and the dark squares, relative to the white image.
+/// Returns half the difference between the bright and the dark squares, relative to the white image.
 pub(super) fn contrast(frame: &Frame, nodes: &[(i32, i32)]) -> Result<f64, Issue> {
     #[allow(clippy::cast_possible_truncation, clippy::cast_possible_wrap)] // a few
     let step = ((nodes.len() / ENOUGH).isqrt() as i32).max(LEAST_STEP);
     let sampled = nodes.iter().filter(|(k, l)| k % step == 0 && l % step == 0);
     let mut levels = levels(frame, sampled);
-    // Those at the border say nothing of the light.
+    // Micro-images that the border cuts carry no information about the light.
     levels.retain(|level| !matches!(level, Err(Unusable::Cut)));
     check_exposure(frame, &levels)?;
     let lit: Vec<Level> = levels.into_iter().flatten().collect();
     let Some(usual) = median(lit.iter().map(|level| level.white)) else {
         return Err(Issue::NothingUsable);
     };
-    // Where something covered the white image, light relative to it says nothing.
+    // If something covered the white image, light relative to it carries no information.
     let uncovered = lit.iter().filter(|level| level.white > COVERED * usual);
     let mut means: Vec<f64> = uncovered.map(|level| level.mean).collect();
     means.sort_by(f64::total_cmp);
@@ -60,12 +60,12 @@ pub(super) fn contrast(frame: &Frame, nodes: &[(i32, i32)]) -> Result<f64, Issue
     Ok(contrast)
 }
 
-/// Number of micro-images that are unusable.
+/// Returns the number of micro-images that are unusable.
 pub(super) fn count_unusable(frame: &Frame, nodes: &[(i32, i32)]) -> usize {
     levels(frame, nodes.iter()).iter().filter(|level| level.is_err()).count()
 }
 
-/// How bright micro-images are, or why they are unusable.
+/// Returns the brightness of micro-images, or the reason why they are unusable.
 fn levels<'n>(
     frame: &Frame,
     nodes: impl Iterator<Item = &'n (i32, i32)>,
@@ -84,7 +84,7 @@ fn levels<'n>(
     nodes.into_par_iter().map_init(Default::default, of_node).collect()
 }
 
-/// The reason if too many micro-images are unusable.
+/// Returns an error if too many micro-images are unusable.
 fn check_exposure(frame: &Frame, levels: &[Result<Level, Unusable>]) -> Result<(), Issue> {
     if levels.is_empty() {
         return Err(Issue::NoWholeMicroImage);

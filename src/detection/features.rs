@@ -1,4 +1,4 @@
-//! The features of a frame: what detection hands on.
+//! Features of a frame: the result of the detection.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -11,37 +11,37 @@ use crate::model::taken::APERTURE_RATIO;
 use crate::model::{BapFeature, MeasuredBlur};
 use crate::quantity::Estimate;
 
-/// A corner of the board as a whole.
+/// Corner of the board, from all of its observations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectedCorner {
     /// Board corner, `row · columns + column`.
     pub corner: i32,
-    /// The line of its observations.
+    /// Line of its observations.
     pub line: CornerLine,
-    /// 1/ν as the paper has it, by the median over pairs with λ = 1.
+    /// 1/ν as in the paper, from the median over pairs with λ = 1.
     pub median_inverse_virtual_depth: f64,
     /// Number of its features.
     pub features: usize,
 }
 
-/// The features of a frame.
+/// Features of a frame, with the corners and optics that they follow from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Detection {
     /// Features, corner by corner.
     pub features: Vec<BapFeature>,
     /// The corners of the board.
     pub corners: Vec<DetectedCorner>,
-    /// From (column, row, 1) of a corner to its pinhole image, px.
+    /// Homography from (column, row, 1) of a corner to its pinhole image, px.
     pub homography: Matrix3<f64>,
-    /// What was taken out of the places: they are where a main lens without it would show the corners.
+    /// Aberrations that positions are corrected for: a main lens without them would show the corners there.
     pub aberration: Aberration,
-    /// How sharp its edges are, where they show it.
+    /// Sharpness of its edges, if they show it.
     pub edges: Option<Edges>,
-    /// What it was made of.
+    /// Measurements that the features follow from.
     measured: Measured,
 }
 
-/// What the second pass has measured in a frame, about the aperture ratio that its corners were fitted with.
+/// Measurements of the second pass in a frame, for the aperture ratio that its corners were fitted with.
 #[derive(Debug, Clone, PartialEq)]
 struct Measured {
     frame: u32,
@@ -49,30 +49,30 @@ struct Measured {
     corners: Vec<BoardCorner>,
     width: Option<WidthChange>,
     aperture_ratio: f64,
-    /// Variance along an axis by which edges are wider than those of white images, px².
+    /// Excess edge variance along an axis, px².
     wider_px2: f64,
 }
 
-/// What the widths of edges in a frame say.
+/// Estimates from the widths of edges in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Edges {
-    /// The aperture ratio of the micro-lenses by this frame alone.
+    /// Aperture ratio of the micro-lenses from this frame alone.
     pub aperture_ratio: Estimate,
-    /// Variance along an axis by which edges are wider than the blur of a whole pixel makes them, px²: the point spread, with
-    /// what print and motion add.
+    /// Variance of edges along an axis beyond the blur of a whole pixel, px²: the point spread, and the effects of print and
+    /// motion.
     pub spread_px2: Estimate,
-    /// What its corners say of ln φ and of by how much edges are wider than those of white images.
+    /// Information of its corners about ln φ and the excess edge variance.
     pub(super) corners: EdgeWidth,
 }
 
 impl Detection {
-    /// Moves its features to where they are with the aperture ratio of some micro-images, and measures their blur with edges
-    /// that are wider than those of white images by a variance, px², if that of other frames is known better than their own.
+    /// Moves its features to the aperture ratio of some micro-images, and measures their blur. `wider_px2` is the excess edge
+    /// variance, px², if other frames determine it better.
     pub(super) fn settle(&mut self, micro_images: &MicroImages, wider_px2: Option<Estimate>) {
         (self.features, self.corners) = self.measured.features(micro_images, wider_px2);
     }
 
-    /// Pinhole image of a place on the board in columns and rows, px.
+    /// Returns the pinhole image of a position on the board in columns and rows, px.
     #[must_use]
     pub fn pinhole(&self, column: f64, row: f64) -> Vector2<f64> {
         let p = self.homography * Vector3::new(column, row, 1.0);
@@ -80,7 +80,7 @@ impl Detection {
     }
 }
 
-/// The features of the corners that were found, with the aperture ratio that was searched with.
+/// Computes the features of the corners that were found, with the aperture ratio of the search.
 pub(super) fn detection(
     frame: &Frame,
     passed: SecondPassed<'_>,
@@ -101,8 +101,9 @@ pub(super) fn detection(
 }
 
 impl Measured {
-    /// The features with the aperture ratio of some micro-images, corner by corner, and the corners. Places and lines move by
-    /// their derivatives; ρ also by q'ᵢ, since white images show φqᵢ. The measured blur does not depend on it.
+    /// Returns the features with the aperture ratio of some micro-images, corner by corner, and the corners. Positions and
+    /// lines move by their derivatives; ρ also moves by q'ᵢ, since white images show φqᵢ. The measured blur does not depend on
+    /// the aperture ratio.
     fn features(
         &self,
         micro_images: &MicroImages,
@@ -122,7 +123,7 @@ impl Measured {
             };
             let observations: Vec<CornerObservation> =
                 found.observations.iter().map(moved).collect();
-            // There are at least two.
+            // Each corner has at least two observations.
             let median = median_inverse_virtual_depth(&observations).unwrap_or(f64::NAN);
             corners.push(DetectedCorner {
                 corner: found.corner,
@@ -150,9 +151,8 @@ impl Measured {
                     rho_px: Some(rho_px),
                     std_dev_px: Some(std_devs),
                     correlation: corner.covariance[(0, 1)] / (std_devs[0] * std_devs[1]),
-                    // By that of the slope of the corner's line, also where ρ is from the median
-                    // over pairs. The uncertainty of q'ᵢ, which all features of a lens type share,
-                    // is not in it.
+                    // It follows from the slope of the corner's line, even if ρ is from the median over pairs. The uncertainty
+                    // of q'ᵢ, which all features of a lens type share, is not included.
                     rho_std_dev_px: Some(half_pitch * line.slope_std_dev),
                     sensitivities_px: Some((*by_taken).into()),
                     blur: blur.map(|blur| MeasuredBlur { aperture_ratio: ratio, ..blur }),
@@ -162,7 +162,7 @@ impl Measured {
         (features, corners)
     }
 
-    /// The measured blur of a feature whose line has a slope.
+    /// Returns the measured blur of a feature whose line has a slope.
     fn blur(
         &self,
         width: &EdgeWidth,

@@ -8,13 +8,13 @@ use crate::finding::Finding;
 use crate::model::{Board, Subset};
 use crate::quantity::Estimate;
 
-/// Findings about frames that are left out or blurred, and about a doubtful board.
+/// Returns findings about frames that are left out or blurred, and about a doubtful board.
 pub(super) fn findings(frames: &[DetectedFrame], board: &Board, subset: Subset) -> Vec<Finding> {
     let left_out = |frame: &DetectedFrame| {
         let why = frame.result.as_ref().err()?.clone();
         Some(Finding::left_out(frame.frame, Some(&frame.name), why))
     };
-    // Other light may be why frames are left out.
+    // These come first, since other light may be the reason why frames are left out.
     let compared =
         frames.iter().filter_map(|f| Some((f.frame, f.name.as_str(), f.likeness.as_ref()?)));
     let mut findings = unlike(&compared.collect::<Vec<_>>());
@@ -38,7 +38,8 @@ pub(super) fn findings(frames: &[DetectedFrame], board: &Board, subset: Subset) 
     findings
 }
 
-/// A finding if boards show another aperture ratio than those of the calibration, with which their corners were fitted.
+/// Returns a finding if boards show another aperture ratio than the boards of the calibration, with which their corners were
+/// fitted.
 pub(super) fn of_other_boards(found: &Estimate, micro_images: &MicroImages) -> Option<Finding> {
     checks::aperture_ratio(micro_images.aperture_ratio(), micro_images.settled()?, *found)
 }
@@ -49,7 +50,7 @@ mod tests {
     use super::*;
     use crate::model::at_most_full;
 
-    /// What other boards have shown is taken as at most 1, and both σ count.
+    /// Checks that the ratio shown by other boards is limited to 1, and that both σ count.
     #[test]
     fn boards_may_show_another_aperture_ratio_than_those_for_calibration() {
         let of = |value: f64, std_dev: f64| Estimate { value, std_dev };

@@ -1,4 +1,4 @@
-//! The first pass: corners in every micro-image alone, and groups of those that lie on lines.
+//! First pass: corners in single micro-images, and groups of corners that lie on lines.
 
 use nalgebra::Vector2;
 use rayon::prelude::*;
@@ -12,53 +12,52 @@ use super::saddle::saddles;
 use super::{CornerObservation, MicroOptics};
 use crate::model::{Configuration, LatticeKind};
 
-/// Micro-images along the edge of a tile, which one thread searches.
+/// Number of micro-images along the edge of a tile, which one thread searches.
 const TILE: i32 = 16;
-/// Micro-images whose centres are up to so many pitches from that of one with a corner may show it too.
+/// Distance from the centre of a micro-image with a corner, in pitches, up to which others may show it too.
 const ABOUT: f64 = 1.8;
-/// Least and largest contrast of corners, in parts of the frame's: nothing is brighter or darker than its
-/// squares, but for noise.
+/// Smallest and largest contrast of corners, relative to the frame's: apart from noise, nothing is brighter or darker than its
+/// squares.
 pub(super) const LEAST_CONTRAST: f64 = 0.35;
 const MOST_CONTRAST: f64 = 1.5;
-/// Least part of the light of its micro-image that a corner explains.
+/// Smallest part of the light of its micro-image that a corner explains.
 const EXPLAINED: f64 = 0.8;
 /// Largest imbalance of a corner, see [`Corner::imbalance`].
 const IMBALANCE: f64 = 0.25;
-/// Saddles of a micro-image that are tried.
+/// Number of saddles of a micro-image that are tried.
 const STARTS: usize = 2;
-/// Sine of the least angle between two edges.
+/// Sine of the smallest angle between two edges.
 const OPENING: f64 = 0.4;
 /// Largest standard deviation of a corner, px.
 const UNCERTAIN_PX: f64 = 0.6;
-/// Corners are not searched for nearer to the edge of the micro-image, px: the blur is not known yet.
+/// Smallest distance of corners from the edge of the micro-image, px, since the blur is not known yet.
 const EDGE_PX: f64 = 1.5;
-/// Neighbours in a cluster are up to this many times as far from each other as they would be without
-/// a missing one.
+/// Largest distance of neighbours in a cluster, relative to their distance if none is missing.
 const GAP: f64 = 1.5;
-/// Before the array (Keplerian) neighbouring micro-images show a corner further apart than they are
-/// themselves: up to so many pitches.
+/// Largest distance of a corner in neighbouring micro-images, in pitches, if its image is in front of the array (Keplerian): it
+/// is larger than the distance of their centres.
 const FURTHEST_BEFORE: f64 = 1.5;
-/// Distance of observations from their line before vignetting is taken into account, in pitches.
+/// Largest distance of observations from their line before vignetting is taken into account, in pitches.
 const ROUGH: f64 = 0.06;
 
-/// The corners that single micro-images show.
+/// Corners in single micro-images.
 ///
-/// A corner of the board shows in several neighbours: first, one micro-image in four is searched, and those about corners.
+/// Several neighbours show a corner of the board, so one micro-image in four is searched first, and then those near corners.
 pub(super) struct FirstPass<'a> {
     frame: &'a Frame<'a>,
-    /// Of the frame.
+    /// Contrast of the frame.
     pub contrast: f64,
-    /// Micro-images of the lattice that are in the image, and were not searched yet.
+    /// True for micro-images of the lattice that are in the image and were not searched yet.
     left: Vec<bool>,
-    /// Number of those that were searched, and of those of them that are unusable.
+    /// Number of micro-images that were searched, and of unusable ones among them.
     pub looked_at: usize,
     pub unusable: usize,
-    /// What was found.
+    /// Observations of corners.
     pub observations: Vec<CornerObservation>,
 }
 
 impl<'a> FirstPass<'a> {
-    /// Before any of these micro-images was searched.
+    /// Creates the pass before any of these micro-images is searched.
     pub fn new(frame: &'a Frame<'a>, nodes: &[(i32, i32)], contrast: f64) -> Self {
         let mut pass = Self {
             frame,
@@ -75,7 +74,7 @@ impl<'a> FirstPass<'a> {
         pass
     }
 
-    /// Searches some micro-images, and all those about corners.
+    /// Searches one micro-image in four, and all near corners.
     pub fn search_some(&mut self) {
         let kind = self.frame.search.micro_images.grid.lattice.kind();
         let mut next = self.take_left(|node| is_among_some(kind, node));
@@ -85,7 +84,7 @@ impl<'a> FirstPass<'a> {
         }
     }
 
-    /// Searches those that are left.
+    /// Searches all others.
     pub fn search_rest(&mut self) {
         let rest = self.take_left(|_| true);
         self.search(rest);
@@ -96,7 +95,7 @@ impl<'a> FirstPass<'a> {
         lattice.index(k, l).expect("nodes of the lattice")
     }
 
-    /// Takes micro-images of those that are left.
+    /// Takes the wanted ones of the micro-images that were not searched yet.
     fn take_left(&mut self, wanted: impl Fn((i32, i32)) -> bool) -> Vec<(i32, i32)> {
         let lattice = self.frame.search.micro_images.grid.lattice;
         let nodes = (0..lattice.rows).flat_map(|l| (0..lattice.columns).map(move |k| (k, l)));
@@ -110,7 +109,7 @@ impl<'a> FirstPass<'a> {
         taken
     }
 
-    /// Takes those about the observations from a number on.
+    /// Takes the micro-images near the observations, from index `first` on.
     fn take_about(&mut self, first: usize) -> Vec<(i32, i32)> {
         let micro_images = self.frame.search.micro_images;
         let reach = ABOUT * micro_images.grid.pitch_px;
@@ -126,7 +125,7 @@ impl<'a> FirstPass<'a> {
         taken
     }
 
-    /// Searches micro-images, each alone. The number of observations before.
+    /// Searches micro-images, each alone. Returns the previous number of observations.
     fn search(&mut self, mut nodes: Vec<(i32, i32)>) -> usize {
         let Self { frame, contrast, .. } = *self;
         let micro_images = frame.search.micro_images;
@@ -160,7 +159,7 @@ impl<'a> FirstPass<'a> {
     }
 }
 
-/// Whether a micro-image is among one in four that are spread evenly: every second one of every second row, staggered.
+/// Returns true for one micro-image in four, spread evenly: every second one of every second row, staggered.
 fn is_among_some(kind: LatticeKind, (k, l): (i32, i32)) -> bool {
     let (along, row) = match kind {
         LatticeKind::HexagonalColumns => (l, k),
@@ -169,7 +168,7 @@ fn is_among_some(kind: LatticeKind, (k, l): (i32, i32)) -> bool {
     row % 2 == 0 && (along - row / 2) % 2 == 0
 }
 
-/// Clusters of observations, sorted into groups on lines.
+/// Clusters observations, and sorts them into groups on lines.
 pub(super) fn groups(
     frame: &Frame,
     observations: &[CornerObservation],
@@ -212,7 +211,7 @@ pub(super) fn groups(
     groups.into_iter().flatten().collect()
 }
 
-/// The corner of a micro-image, if it clearly shows one.
+/// Returns the corner of a micro-image, if it clearly shows one.
 fn corner_alone(
     patch: &Patch,
     optics: &MicroOptics,
@@ -241,7 +240,7 @@ mod tests {
     use super::*;
     use crate::model::{Lattice, Packing, Parity};
 
-    /// One in four, and none further than a pitch and a quarter from one of them.
+    /// Checks that one in four is taken, and that no other is further than a pitch and a quarter from one of them.
     #[test]
     fn some_micro_images_are_spread_evenly() {
         for packing in [

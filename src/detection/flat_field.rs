@@ -1,8 +1,8 @@
-//! Whether images of boards were taken as the white image was: where a square of the board fills a micro-image, its light
-//! is that of the white image times a number.
+//! Comparison of board images with the white image. If a square of the board fills a micro-image, its light is the white image
+//! times a factor.
 //!
-//! Other light is compared with what a wrong black level, a tone curve, another aperture or a shift would make of the
-//! white image w: a constant, w ln w, the change of w along the radius, and its gradient.
+//! Deviations are compared with the effects of a wrong black level, a tone curve, another aperture or a shift on the white
+//! image w: a constant, w ln w, the change of w along the radius, and its gradient.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -12,7 +12,7 @@ use crate::finding::{Finding, Issue, Subject};
 use crate::image::{Grey, bounds};
 use crate::numerics::median;
 
-/// The white image, its Laplacian, which takes up the noise that both have, and what may be wrong.
+/// Fields: the white image, its Laplacian, which takes up the noise of both images, and the possible causes of deviations.
 const FIELDS: usize = 9;
 const WHITE: usize = 0;
 const NOISE: usize = 1;
@@ -23,41 +23,42 @@ const SHIFT: [usize; 2] = [5, 6];
 const SCALE: usize = 7;
 const TURN: usize = 8;
 
-/// So many micro-images are looked at.
+/// Number of micro-images that are compared.
 const ENOUGH: usize = 600;
-/// At least one in so many.
+/// Smallest step between them.
 const LEAST_STEP: usize = 3;
-/// Bright squares are this part of the way from the darkest to the brightest micro-images.
+/// Smallest light of bright squares, from the darkest (0) to the brightest micro-images (1); and part of the micro-images left
+/// out at both ends.
 const BRIGHT: f64 = 0.6;
 const TAIL: f64 = 0.02;
-/// A micro-image shows nothing but one square if its light differs from all that can be explained by no more than so many
-/// times what it does in this part of the bright ones.
+/// Largest residual of a micro-image that shows only one square, over a quantile of the residuals of bright ones; and this
+/// quantile.
 const EVEN: f64 = 1.2;
 const MOST_EVEN: f64 = 0.05;
-/// Fewer even micro-images tell nothing.
+/// Smallest number of such micro-images, and of their pixels, for a comparison.
 const FEWEST: usize = 8;
 const FEWEST_PIXELS: usize = 60;
-/// Read noise over photon noise, as in the weights of patches.
+/// Variance of the read noise over the photon noise, as in the weights of patches.
 const READ_NOISE: f64 = 0.25;
-/// An explanation has this part of what all of them together explain.
+/// Smallest part of the deviation explained by all causes together that one cause has to explain.
 const EXPLAINS: f64 = 0.7;
-/// Black levels that differ by this part of the light of a bright square, and powers by this.
+/// Limits of the difference of black levels, as a part of the light of a bright square, and of powers.
 const BLACK_LIMIT: f64 = 0.02;
 const TONE_LIMIT: f64 = 0.06;
-/// Pupils that differ by this part: f/4.1 for f/4.
+/// Limit of the relative difference of pupils: f/4.1 for f/4.
 const PUPIL_LIMIT: f64 = 0.03;
-/// Shifts of this much, px; scales that make as much at the border of the image, and turns.
+/// Limit of shifts, px, and of the shift at the corner of the image by scales and turns.
 const SHIFT_LIMIT_PX: f64 = 0.1;
-/// A single frame is not like the others if it differs from them by so many times these limits.
+/// Multiple of these limits above which a single frame is reported.
 const OF_ONE: f64 = 3.0;
-/// More than so many times these limits one thing looks like another.
+/// Multiple of these limits above which one cause looks like another.
 const STRANGE: f64 = 12.0;
 const FEWEST_FRAMES: usize = 4;
 
 type Matrix = SMatrix<f64, FIELDS, FIELDS>;
 type Vector = SVector<f64, FIELDS>;
 
-/// Sums over the pixels of even micro-images, each with its bright light as 1.
+/// Sums over the pixels of micro-images that show only one square, each divided by its light.
 #[derive(Debug, Clone)]
 struct Sums {
     normal: Matrix,
@@ -65,7 +66,7 @@ struct Sums {
     square: f64,
 }
 
-/// How the light of a board's image follows the white image.
+/// Comparison of a board's image with the white image.
 #[derive(Debug, Clone)]
 pub(super) struct Likeness {
     sums: Sums,
@@ -74,7 +75,7 @@ pub(super) struct Likeness {
     half_diagonal_px: f64,
 }
 
-/// What explains that a board's image is not like the white image: a field, and its coefficient.
+/// Cause of a deviation from the white image: a field, and its coefficient.
 #[derive(Debug, Clone, Copy)]
 struct Difference {
     field: usize,
@@ -82,7 +83,7 @@ struct Difference {
 }
 
 impl Likeness {
-    /// Compares a board's image with the white image; `None` where too few micro-images show one square only.
+    /// Compares a board's image with the white image; `None` if too few micro-images show only one square.
     pub fn of(board: &Grey, white: &Grey, micro_images: &MicroImages) -> Option<Self> {
         if board.size() != white.size() {
             return None;
@@ -122,7 +123,8 @@ impl Likeness {
         Some(Self { sums, pupil_px: micro_images.pupil_px(), half_diagonal_px })
     }
 
-    /// What some fields besides the white image leave of the sum of squares, and their coefficients relative to it.
+    /// Fits some fields besides the white image. Returns the remaining sum of squares, and the coefficients relative to the
+    /// white image.
     fn fit(&self, fields: &[usize]) -> Option<(f64, Vector)> {
         let mut used = vec![WHITE, NOISE];
         used.extend(fields);
@@ -136,7 +138,7 @@ impl Likeness {
         Some((self.sums.square - by.dot(&solution), values))
     }
 
-    /// The one thing that explains the difference best, if one does.
+    /// Returns the single cause that explains the deviation best, if one does.
     fn difference(&self) -> Option<Difference> {
         let (without, _) = self.fit(&[])?;
         let all: Vec<usize> = (BLACK..FIELDS).collect();
@@ -147,7 +149,7 @@ impl Likeness {
         (without - left > EXPLAINS * (without - with_all)).then_some(Difference { field, value })
     }
 
-    /// A difference in units of what is worth mentioning.
+    /// Returns a difference in units of its limit.
     fn weight(&self, field: usize, value: &Vector) -> f64 {
         match field {
             BLACK => value[BLACK] / BLACK_LIMIT,
@@ -166,7 +168,7 @@ impl Likeness {
             BLACK => Issue::OtherBlackLevel { difference: value[BLACK] },
             TONE => Issue::OtherToneCurve { power: 1.0 + value[TONE] },
             RADIUS => {
-                // They are as bright farther inside where the pupil is smaller.
+                // With a smaller pupil, the same brightness lies further inside.
                 let pupil_px = (self.pupil_px - value[RADIUS]).max(0.1 * self.pupil_px);
                 Issue::OtherAperture { ratio: self.pupil_px / pupil_px }
             }
@@ -177,11 +179,11 @@ impl Likeness {
     }
 }
 
-/// One micro-image of a board against the white image.
+/// Comparison of one micro-image of a board with the white image.
 struct Compared {
-    /// Its light, relative to the white image.
+    /// Light, relative to the white image.
     light: f64,
-    /// What no field explains, relative to its light, root mean square.
+    /// Root mean square of the residuals of all fields, relative to the light.
     left: f64,
     sums: Sums,
 }
@@ -252,16 +254,16 @@ impl Sums {
         self.square += board * board * weight;
     }
 
-    /// The same for an image so many times as bright.
+    /// Returns the sums of an image that is brighter by a factor.
     fn scaled(self, factor: f64) -> Self {
         Self { by: self.by * factor, square: self.square * factor * factor, ..self }
     }
 }
 
-/// A frame by its number and name, and how its light follows the white image.
+/// Frame by its number and name, with the comparison of its light.
 pub(super) type ComparedFrame<'a> = (u32, &'a str, &'a Likeness);
 
-/// Findings about frames that were not taken as the white image was: one about most of them, or one about each.
+/// Returns findings about frames that deviate from the white image: one about most of them, or one about each.
 pub(super) fn unlike(all: &[ComparedFrame]) -> Vec<Finding> {
     let weighty = |(_, _, likeness): &ComparedFrame, limit: f64| {
         let Difference { field, value } = likeness.difference()?;

@@ -1,4 +1,4 @@
-//! A frame: the image of a board, its white image, and what is searched for in it.
+//! Frame: the image of a board, its white image, and the search in it.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -8,7 +8,7 @@ use super::{CornerObservation, DepthEstimator, MicroImages};
 use crate::image::Grey;
 use crate::model::{Board, Sensor};
 
-/// What is searched for, and where.
+/// Object and region of the search.
 #[derive(Debug, Clone, Copy)]
 pub struct Search<'a> {
     /// The micro-images.
@@ -17,21 +17,21 @@ pub struct Search<'a> {
     pub board: &'a Board,
     /// The sensor.
     pub sensor: &'a Sensor,
-    /// How 1/ν is estimated from the observations of a corner.
+    /// Estimator of 1/ν from the observations of a corner.
     pub estimator: DepthEstimator,
 }
 
-/// What was found and dropped in a frame: in the first pass, which searches every micro-image alone, and
-/// in the second, which searches where the labelled board expects its corners.
+/// Counts of what was found and dropped in a frame: in the first pass, which searches every micro-image alone, and in the
+/// second, which searches where the labelled board predicts its corners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FrameCounts {
     /// Micro-images searched in the first pass.
     pub looked_at: usize,
-    /// Those of them that are cut by the border, without light in the white image, or saturated.
+    /// Micro-images among them that are cut by the border, without light in the white image, or saturated.
     pub unusable: usize,
     /// Corners found in single micro-images.
     pub corners: usize,
-    /// Clusters of these by DBSCAN.
+    /// Clusters of these corners by DBSCAN.
     pub clusters: usize,
     /// Corners in no cluster.
     pub alone: usize,
@@ -45,22 +45,21 @@ pub struct FrameCounts {
     pub lost: usize,
     /// Board corners found in the second pass.
     pub board_corners: usize,
-    /// Micro-images in which a board corner should be but none was found: they are unusable, or the corner
-    /// has too little contrast or is too uncertain.
+    /// Micro-images in which a board corner is expected but was not found: they are unusable, or the corner has too little
+    /// contrast or is too uncertain.
     pub unclear: usize,
-    /// Those in which one was found, but of a board corner that was given up: its observations are on no
-    /// line, or few of them look like a corner.
+    /// Micro-images with a board corner that was given up: its observations are on no line, or few of them look like a corner.
     pub given_up: usize,
-    /// Those in which it was found, but off its line.
+    /// Micro-images in which a board corner was found off its line.
     pub misplaced: usize,
 }
 
 /// Border of the image that counts as out of view, in pitches.
 pub(super) const MARGIN: f64 = 1.0;
-/// σ of a position because the model of the light is not exact, px.
+/// Standard deviation of a position due to errors of the model of the light, px.
 const MODEL_STD_DEV_PX: f64 = 0.01;
 
-/// The image of a board and its white image.
+/// Image of a board, with its white image.
 pub(super) struct Frame<'a> {
     pub frame: u32,
     pub image: &'a Grey<'a>,
@@ -69,13 +68,13 @@ pub(super) struct Frame<'a> {
 }
 
 impl Frame<'_> {
-    /// Whether a place is in the micro-images, so many pitches within the border.
+    /// Returns true if a position is in the micro-images, so many pitches within the border.
     pub fn in_view(&self, place: &Vector2<f64>, pitches: f64) -> bool {
         let micro_images = self.search.micro_images;
         micro_images.show(place, self.search.sensor, pitches * micro_images.grid.pitch_px)
     }
 
-    /// Reads the light of a micro-image into a patch that may have been used before, or says why it shows nothing.
+    /// Reads the light of a micro-image into a patch, which can be reused; an error if it shows nothing.
     pub fn read(
         &self,
         (k, l): (i32, i32),
@@ -87,7 +86,7 @@ impl Frame<'_> {
         Pair { board: self.image, white: self.white }.read(&center, reach, patch, room)
     }
 
-    /// The micro-images whose centres are in the image.
+    /// Returns the micro-images whose centres are in the image.
     pub fn nodes(&self) -> Vec<(i32, i32)> {
         let micro_images = self.search.micro_images;
         let lattice = &micro_images.grid.lattice;
@@ -100,7 +99,7 @@ impl Frame<'_> {
         (0..rows).flat_map(|l| (0..lattice.columns).map(move |k| (k, l))).filter(inside).collect()
     }
 
-    /// A corner that a micro-image shows, as an observation.
+    /// Returns the observation of a corner in a micro-image.
     pub fn observation(&self, (k, l): (i32, i32), corner: &Corner) -> CornerObservation {
         let center = self.search.micro_images.center(k, l);
         CornerObservation {

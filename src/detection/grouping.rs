@@ -1,4 +1,4 @@
-//! Observations of a cluster sorted into corners, by the lines that they lie on.
+//! Observations of a cluster, sorted into corners by common lines.
 
 use super::CornerObservation;
 use super::line::{CornerLine, possible_slope};
@@ -7,61 +7,60 @@ use crate::model::Configuration;
 /// Observations on a common line, as indices.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Group {
-    /// Members.
+    /// Indices of the observations.
     pub members: Vec<usize>,
-    /// Their line.
+    /// Line of the observations.
     pub line: CornerLine,
 }
 
-/// What observations of one corner have in common.
+/// Common properties of the observations of one corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LineSearch {
-    /// How far from their line they are at most, px.
+    /// Largest distance from their line, px.
     pub tolerance_px: f64,
-    /// How far from the centre of a micro-image a corner shows at most, px.
+    /// Largest distance of a corner from the centre of a micro-image that shows it, px.
     pub reach_px: f64,
     /// Distance Δc of neighbouring micro-image centres, px.
     pub micro_image_pitch_px: f64,
-    /// Behind or before the array.
+    /// Configuration of the camera.
     pub configuration: Configuration,
 }
 
-/// Most pairs of observations that lines are tried through, of a whole cluster and of a part of one.
+/// Largest number of pairs of observations that lines are tried through: of a whole cluster, and of a part of one.
 const MOST_PAIRS: usize = 4000;
 const MOST_PAIRS_OF_PART: usize = 1000;
-/// Number of observations that a line is sought among, those nearest to one of them: clusters of
-/// neighbouring corners merge where squares are as small as the spread of a corner, and have thousands.
+/// Number of observations that a line is sought among, the nearest ones to one of them. Clusters of neighbouring corners merge
+/// if squares are as small as the spread of a corner, and then have thousands of observations.
 const AT_ONCE: usize = 500;
-/// If there is no line among those, so many of them are given up.
+/// Number of them that is given up if there is no line among them.
 const GIVEN_UP: usize = 100;
-/// Lines of fewer observations than this arise by chance where there are many.
+/// Number of observations below which lines in large clusters arise by chance.
 const STURDY: usize = 4;
-/// If so many observations are on no such line, and this many times more than are on one, the cluster is
-/// texture.
+/// Number of observations off such lines, and its ratio to the number on them, from which the cluster is texture.
 const TEXTURE: usize = 1000;
 const TEXTURE_RATIO: usize = 9;
 /// Fewest observations on a line.
 const FEWEST: usize = 2;
-/// A line arises by chance if less than this part of the micro-images that should show its corner do: the
-/// nearer γ is to 1 the more of these there are.
+/// Part of the micro-images that should show a corner which must do so: with fewer, its line arises by chance. The nearer γ is
+/// to 1, the more micro-images should show it.
 const LEAST_SHOWN: f64 = 0.06;
 
 impl LineSearch {
-    /// Number of micro-images, about, that show a corner with this slope: those with a centre within
+    /// Returns the approximate number of micro-images that show a corner with this slope: their centres lie within
     /// reach/|1 − γ| of its pinhole image.
     fn shown_in(&self, slope: f64) -> f64 {
         std::f64::consts::PI * (self.spread(slope) / self.micro_image_pitch_px).powi(2)
     }
 
-    /// How far from the pinhole image the centres of micro-images are that show it, px.
+    /// Returns the largest distance from the pinhole image to the centre of a micro-image that shows it, px.
     fn spread(&self, slope: f64) -> f64 {
         self.reach_px / (1.0 - slope).abs()
     }
 
-    /// The line through two observations, if both can be of one corner.
+    /// Returns the line through two observations, if both can be of one corner.
     fn through(&self, a: &CornerObservation, b: &CornerObservation) -> Option<CornerLine> {
         let (baseline, moved) = (a.center - b.center, a.position - b.position);
-        // NaN for two observations in one micro-image.
+        // The slope is NaN for two observations in one micro-image.
         let slope = moved.dot(&baseline) / baseline.norm_squared();
         let possible = possible_slope(slope, self.configuration)
             && baseline.norm() < 2.0 * self.spread(slope)
@@ -75,7 +74,7 @@ impl LineSearch {
             <= self.tolerance_px.powi(2)
     }
 
-    /// The observations, of some, that are on a line.
+    /// Returns the observations, of some, that are on a line.
     fn members(
         &self,
         line: &CornerLine,
@@ -85,7 +84,7 @@ impl LineSearch {
         among.iter().copied().filter(|&i| self.is_on(line, &observations[i])).collect()
     }
 
-    /// The members of the line through two of some observations that most of them are on.
+    /// Returns the members of the line through two of some observations that has most members.
     fn best_line(
         &self,
         observations: &[CornerObservation],
@@ -117,18 +116,16 @@ impl LineSearch {
     }
 }
 
-/// Whether the observations of a cluster that are on no line are texture, rather than false corners among
-/// true ones.
+/// Returns true if the observations of a cluster that are on no line are texture, rather than false corners among true ones.
 pub(super) fn is_texture(off_line: usize, on_line: usize) -> bool {
     off_line >= TEXTURE && off_line >= TEXTURE_RATIO * on_line
 }
 
-/// Sorts the observations of a cluster into groups with a common line: first those on the line through two
-/// of them that most others are on, then the same of the rest, and so on. Observations on no line are in
-/// no group.
+/// Sorts the observations of a cluster into groups with a common line. The first is the line through two observations that has
+/// most members; the rest is sorted in the same way. Observations on no line are in no group.
 ///
-/// A large cluster is searched in parts, so that the time grows at most as the square of its size;
-/// texture, where lines of two or three observations arise by chance, is given up.
+/// A large cluster is searched in parts, so that the time grows at most as the square of its size. Texture, where lines of two
+/// or three observations arise by chance, is given up.
 pub(super) fn groups_on_lines(
     observations: &[CornerObservation],
     cluster: &[usize],
@@ -202,13 +199,13 @@ mod tests {
         places.sort_by(f64::total_cmp);
         assert!((places[0] - 500.0).abs() < 2.0 && (places[1] - 540.0).abs() < 2.0, "{places:?}");
         assert!(groups[0].members.len() > 20 && groups[1].members.len() > 20);
-        // Behind the array neighbours see a point closer together, before it further apart.
+        // Behind the array, neighbours see a point closer together; in front of it, further apart.
         let before = LineSearch { configuration: Configuration::Keplerian, ..behind };
         let before = groups_on_lines(&both, &all, &before);
         assert!(before.iter().all(|g| g.line.slope > 1.0 && g.members.len() < 10));
     }
 
-    /// A corner shows in 60 micro-images, each of which shows one of the corners within reach.
+    /// Checks corners that are in 60 micro-images each, if every micro-image shows one of the corners within reach.
     #[test]
     fn corners_of_a_merged_cluster_are_told_apart() {
         const SIDE: i32 = 80;
@@ -220,7 +217,7 @@ mod tests {
         let shown = nodes.filter_map(|(k, l)| {
             let center = Vector2::new(f64::from(k), f64::from(l)) * 20.0;
             let (x, y) = ((k * 13 + l * 7) % 15, (k * 5 + l * 11) % 15);
-            // From anywhere, the first corner that shows.
+            // The micro-image shows the first visible corner after an arbitrary one.
             (0..225).map(|n| ((x + n % 15) % 15, (y + n / 15) % 15)).find_map(|(x, y)| {
                 let line = CornerLine::through(&corner(x, y), slope);
                 let position = line.at(&center);

@@ -1,8 +1,8 @@
-//! The line that all observations of one corner lie on.
+//! Line that all observations of one corner lie on.
 //!
-//! Micro-lens (k, l) with its micro-image about c shows a point at i = β + γ c: the same β and slope γ
-//! in all micro-images, γ = λ (1 − 1/ν) with λ = D/(D + d). Where i = c the point is seen through the
-//! middle of the main lens: its pinhole image.
+//! Micro-lens (k, l), with its micro-image about c, shows a point at i = β + γ c. β and the slope γ = λ (1 − 1/ν), with
+//! λ = D/(D + d), are the same in all micro-images. At i = c the point is seen through the middle of the main lens: this is its
+//! pinhole image.
 
 use nalgebra::{Matrix2x3, Matrix3, SMatrix, Vector1, Vector2, Vector3};
 
@@ -10,22 +10,21 @@ use super::CornerObservation;
 use crate::model::Configuration;
 use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight, median};
 
-/// i = β + γ c.
+/// Line i = β + γ c.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CornerLine {
-    /// β, px.
+    /// Offset β, px.
     pub start: Vector2<f64>,
-    /// γ.
+    /// Slope γ.
     pub slope: f64,
-    /// Standard deviation of γ: by the stated uncertainty of the observations or by their scatter about
-    /// the line, whichever is larger.
+    /// Standard deviation of γ, from the stated uncertainty of the observations or from their scatter about the line, whichever
+    /// is larger.
     pub slope_std_dev: f64,
     /// Root mean square distance of the observations from the line, without outliers, px.
     pub rms_px: f64,
 }
 
-/// Outliers of a line: corners of texture, or of a neighbour. Nothing is measured better than the least
-/// standard deviation, px.
+/// Outliers of a line: corners of texture, or of a neighbour. No position is measured better than `least`, px.
 const OUTLIERS: Outliers = Outliers {
     weight: Weight::Biweight,
     scale: Scale::PerAxis,
@@ -33,52 +32,52 @@ const OUTLIERS: Outliers = Outliers {
     least: 0.03,
     slack: 0.0,
 };
-/// Reweighted fits settle in a few rounds: slopes to this.
+/// Largest number of rounds of reweighted fits, and change of slopes at which they end.
 const ROUNDS: usize = 20;
 const SETTLED: f64 = 1e-10;
-/// Centres whose mean square distance from their middle is less than this, px², determine no slope.
+/// Mean square distance of centres from their middle, px², below which they determine no slope.
 const LEAST_SPREAD: f64 = 1e-6;
-/// |1 − γ| that differs from 0, and from that of micro-images that do not overlap.
+/// Range of |1 − γ|, apart from 0 and from its value for micro-images that do not overlap.
 const INVERSE_DEPTHS: std::ops::Range<f64> = 0.02..0.98;
 
 impl CornerLine {
-    /// Where the point is seen in the micro-image about `center`, px.
+    /// Returns the position of the point in the micro-image about `center`, px.
     #[must_use]
     pub fn at(&self, center: &Vector2<f64>) -> Vector2<f64> {
         self.start + center * self.slope
     }
 
-    /// Pinhole image of the point, px: where a ray from it through the middle of the main lens and the
-    /// middle of a micro-lens would meet the sensor.
+    /// Returns the pinhole image of the point, px: where a ray from it through the middle of the main lens and the middle of a
+    /// micro-lens would meet the sensor.
     #[must_use]
     pub fn pinhole(&self) -> Vector2<f64> {
         self.start / (1.0 - self.slope)
     }
 
-    /// 1/ν = 1 − γ/λ, Eq. (virtdepth).
+    /// Returns 1/ν = 1 − γ/λ, Eq. (virtdepth).
     #[must_use]
     pub fn inverse_virtual_depth(&self, lambda: f64) -> f64 {
         1.0 - self.slope / lambda
     }
 
-    /// Derivatives of [`CornerLine::at`] by β and γ.
+    /// Returns the derivatives of [`CornerLine::at`] by β and γ.
     pub(super) fn design(center: &Vector2<f64>) -> Matrix2x3<f64> {
         Matrix2x3::new(1.0, 0.0, center.x, 0.0, 1.0, center.y)
     }
 
-    /// The line through a pinhole image.
+    /// Creates the line through a pinhole image.
     #[must_use]
     pub fn through(pinhole: &Vector2<f64>, slope: f64) -> Self {
         Self::exact(pinhole * (1.0 - slope), slope)
     }
 
-    /// The line moved along a derivative.
+    /// Returns the line moved along a derivative.
     pub(super) fn moved(&self, by: &Self, change: f64) -> Self {
         let (start, slope) = (self.start + by.start * change, self.slope + by.slope * change);
         Self { start, slope, ..*self }
     }
 
-    /// The line with these parameters.
+    /// Creates the line with these parameters.
     pub(super) fn exact(start: Vector2<f64>, slope: f64) -> Self {
         Self { start, slope, slope_std_dev: 0.0, rms_px: 0.0 }
     }
@@ -89,7 +88,7 @@ impl CornerLine {
     }
 }
 
-/// A line with what it was fitted to.
+/// Line with the observations that it was fitted to.
 pub(super) struct FittedLine {
     pub line: CornerLine,
     observed: Observed,
@@ -111,13 +110,13 @@ impl FittedLine {
         };
         let square: f64 = used().map(|(_, length)| length * length).sum();
         let count = used().count() as f64;
-        // Of two coordinates each, three determine the line. Weights are in 1/px²: what they leave over
-        // shows how much larger the errors are.
+        // Each observation has two coordinates, and three determine the line. Weights are in 1/px², so the remaining sum shows
+        // how much larger the errors are.
         let freedom = (2.0 * count - 3.0).max(1.0);
         let weighted: f64 = used()
             .map(|(o, _)| o.whitened(&(o.position - line.at(&o.center))).norm_squared())
             .sum();
-        // A few observations may agree by chance, which makes them no better than they are.
+        // A few observations may agree by chance, which does not make them more accurate.
         let factor = (weighted / freedom).max(1.0);
         let line = CornerLine {
             slope_std_dev: (inverse[(2, 2)] * factor).max(0.0).sqrt(),
@@ -128,7 +127,8 @@ impl FittedLine {
         finite.then_some(Self { line, observed, weights: fitted.weights })
     }
 
-    /// Derivatives of β and γ by quantities, from those of the places of its observations, with the weights of the fit.
+    /// Returns the derivatives of β and γ by quantities, from the derivatives of the positions of its observations, with the
+    /// weights of the fit.
     pub fn derivatives<const Q: usize>(
         &self,
         places: impl Iterator<Item = SMatrix<f64, 2, Q>>,
@@ -154,12 +154,12 @@ impl FittedLine {
 
 struct Observed {
     observations: Vec<CornerObservation>,
-    /// The mean of their centres, px: relative to it start and slope are nearly independent.
+    /// Mean of their centres, px: relative to it, start and slope are nearly independent.
     middle: Vector2<f64>,
 }
 
 impl Reweighted for Observed {
-    /// With the inverse of its normal matrix.
+    /// Line with the inverse of its normal matrix.
     type Model = (CornerLine, Matrix3<f64>);
 
     fn count(&self) -> usize {
@@ -196,8 +196,8 @@ impl Reweighted for Observed {
     }
 }
 
-/// Slopes that a point can have: behind the array (Galilean) neighbouring micro-images show it closer
-/// together than they are, before it (Keplerian) further apart.
+/// Returns true for slopes that a point can have. Behind the array (Galilean), neighbouring micro-images show it closer
+/// together than their centres are; in front of it (Keplerian), further apart.
 pub(super) fn possible_slope(slope: f64, configuration: Configuration) -> bool {
     match configuration {
         Configuration::Galilean => INVERSE_DEPTHS.contains(&(1.0 - slope)),
@@ -206,8 +206,8 @@ pub(super) fn possible_slope(slope: f64, configuration: Configuration) -> bool {
     }
 }
 
-/// 1/ν as in the paper: the median of Eq. (virtdepth) over all pairs of observations, with λ = 1; of an
-/// even number of pairs the upper one of the middle, as in COMPOTE. `None` for a single observation.
+/// Returns 1/ν as in the paper, from the median of Eq. (virtdepth) over all pairs of observations, with λ = 1. For an even
+/// number of pairs it is the upper of the middle two, as in COMPOTE. `None` for a single observation.
 pub(super) fn median_inverse_virtual_depth(observations: &[CornerObservation]) -> Option<f64> {
     let mut depths = Vec::new();
     for (n, a) in observations.iter().enumerate() {
@@ -228,7 +228,7 @@ pub(super) mod tests {
 
     use super::*;
 
-    /// Observations of a point on a square array of pitch 20, off by a little.
+    /// Returns observations of a point on a square array of pitch 20, with small errors.
     pub fn observations(pinhole: Vector2<f64>, slope: f64) -> Vec<CornerObservation> {
         let line = CornerLine::through(&pinhole, slope);
         let mut observations = Vec::new();
@@ -252,7 +252,7 @@ pub(super) mod tests {
     fn a_line_is_found_with_its_uncertainty() {
         let pinhole = Vector2::new(503.2, 377.9);
         let mut seen = observations(pinhole, 0.75);
-        // Two outliers have no say.
+        // Two outliers have no effect.
         seen[3].position += Vector2::new(4.0, -2.0);
         seen[17].position += Vector2::new(-3.0, 5.0);
         let line = CornerLine::fit(seen.iter().copied()).unwrap();
@@ -264,7 +264,7 @@ pub(super) mod tests {
         assert!(CornerLine::fit(seen[..1].iter().copied()).is_none());
     }
 
-    /// By hand: micro-images 20 px apart that show the point 15 px apart have ν = 4.
+    /// Compares with a value calculated by hand: micro-images 20 px apart that show the point 15 px apart have ν = 4.
     #[test]
     fn the_median_over_pairs_is_that_of_the_disparity() {
         let inverse = median_inverse_virtual_depth(&observations(Vector2::new(500.0, 370.0), 0.75));
@@ -280,7 +280,7 @@ pub(super) mod tests {
         assert!(!possible_slope(f64::NAN, Configuration::Unfocused));
     }
 
-    /// Two observations that happen to agree are as uncertain as they state.
+    /// Checks that two observations that happen to agree are as uncertain as they state.
     #[test]
     fn chance_agreement_is_not_certainty() {
         let mut seen = observations(Vector2::new(500.0, 370.0), 0.75);
@@ -290,7 +290,7 @@ pub(super) mod tests {
             observation.position = line.at(&observation.center);
         }
         let line = CornerLine::fit(seen.iter().copied()).unwrap();
-        // 0.05 px each, 20 px apart.
+        // Errors are 0.05 px each, 20 px apart.
         assert!((line.slope_std_dev - 0.05 * 2.0_f64.sqrt() / 20.0).abs() < 1e-9);
     }
 }

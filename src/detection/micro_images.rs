@@ -1,4 +1,4 @@
-//! Every micro-image as the pre-calibration describes it.
+//! Micro-images, described by the pre-calibration.
 
 use nalgebra::Vector2;
 
@@ -13,54 +13,54 @@ use crate::optics::Obliquity;
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::quantity::Estimate;
 
-/// Where micro-images are, and how points are blurred in them.
+/// Positions of micro-images, and the blur of points in them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MicroImages {
     /// The grid.
     pub grid: MicroImageArray,
-    /// Behind or before the array.
+    /// Configuration of the camera.
     pub configuration: Configuration,
-    /// Of all nodes of the lattice, row by row, px.
+    /// Centres of all nodes of the lattice, row by row, px.
     centers: Vec<Vector2<f64>>,
-    /// a in the middle of the image, where m and q'ᵢ are measured, px.
+    /// Radius a of the pupil in the middle of the image, where m and q'ᵢ are measured, px.
     pupil_px: f64,
-    /// q'ᵢ there, px.
+    /// q'ᵢ in the middle of the image, px.
     q_prime_px: Vec<f64>,
-    /// φ, the aperture ratio.
+    /// Aperture ratio φ.
     aperture_ratio: f64,
-    /// σ of φ, if other boards have shown it.
+    /// Standard deviation of φ, if other boards have determined it.
     settled: Option<f64>,
     /// Variance of the point spread along an axis, px².
     point_spread_px2: f64,
-    /// Black and saturation level of the images, where they are known.
+    /// Black and saturation level of the images, if they are known.
     pub levels: Option<SampleLevels>,
-    /// The middle of the image, px.
+    /// Middle of the image, px.
     middle: Vector2<f64>,
-    /// The fall-off of light.
+    /// Angular response over the image.
     fall_off: FallOff,
-    /// The angles at which light arrives in the middle of the image.
+    /// Angular response in the middle of the image.
     in_the_middle: Obliquity,
-    /// The tilt gradient of the array, where it was measured.
+    /// Tilt gradient of the array, if it was measured.
     tilt_gradient: Option<TiltGradient>,
-    /// (D + d)/d.
+    /// Ratio (D + d)/d.
     lens_to_sensor: f64,
     /// Gradient of ln d, 1/px.
     growth_per_px: Vector2<f64>,
 }
 
-/// Discs of light and blur are smaller than this many pitches.
+/// Largest radius of discs of light and blur, in pitches.
 const MOST_PITCHES: f64 = 10.0;
-/// d/f of an unfocused camera is within this of 1; that of focused ones differs by a tenth and more.
+/// Difference of d/f from 1 below which a camera is unfocused; focused ones differ by a tenth and more.
 const UNFOCUSED: f64 = 0.03;
-/// d changes less than this across an array that was meant to be parallel to the sensor.
+/// Largest relative change of d from the middle of the image to a corner, if the array was meant to be parallel to the sensor.
 const MOST_GROWTH: f64 = 0.3;
 
-/// An error for a camera whose micro-lenses focus at infinity.
+/// Returns an error for a camera whose micro-lenses focus at infinity.
 pub fn check_configuration(sheet: &Datasheet) -> Result<()> {
     if sheet.configuration == Configuration::Unfocused { Err(unfocused("stated")) } else { Ok(()) }
 }
 
-/// An error if the discs of the white images are those of an unfocused camera: d/fᵢ = 2q'ᵢ/ΔC.
+/// Returns an error if the discs of the white images belong to an unfocused camera: d/fᵢ = 2q'ᵢ/ΔC.
 fn check_in_focus(internal: &InternalParameters, pitch_mm: f64) -> Result<()> {
     let in_focus = |q: &f64| (2.0 * q / pitch_mm - 1.0).abs() < UNFOCUSED;
     if internal.q_prime_mm.iter().all(in_focus) { Err(unfocused("measured")) } else { Ok(()) }
@@ -76,12 +76,12 @@ fn unfocused(how: &str) -> Error {
 }
 
 impl MicroImages {
-    /// From a pre-calibration, at the f-number N of the boards. Micro-images without a measured centre
-    /// are where the grid puts them.
+    /// Creates the micro-images from a pre-calibration, at the f-number N of the boards. Micro-images without a measured centre
+    /// are where the grid predicts them.
     ///
-    /// Where the array is tilted against the sensor, d changes across it, and a and q'ᵢ in proportion: both
-    /// are d times an angle that stays the same. How much follows from the perspective of the grid,
-    /// t = ∇d/(D + d), with D and d as the refinement starts with them.
+    /// If the array is tilted against the sensor, d changes across it, and a and q'ᵢ in proportion: both are d times an angle
+    /// that stays the same. The change follows from the measured tilt gradient and from the perspective of the grid,
+    /// t = ∇d/(D + d), with the D and d that the refinement starts with.
     pub fn new(
         grid: &MicroImageArray,
         centers: &[MicroImageCenter],
@@ -153,7 +153,7 @@ impl MicroImages {
         Ok(micro_images)
     }
 
-    /// Finds how d grows over the image; how much it grows at most.
+    /// Computes the gradient of ln d over the image, and returns the largest relative change of d.
     fn find_growth(&mut self) -> f64 {
         let perspective_per_px = &self.grid.perspective_per_px;
         self.growth_per_px =
@@ -161,7 +161,7 @@ impl MicroImages {
         self.growth_per_px.abs().dot(&self.middle)
     }
 
-    /// Centre of a micro-image, px.
+    /// Returns the centre of a micro-image, px.
     #[must_use]
     pub fn center(&self, k: i32, l: i32) -> Vector2<f64> {
         match self.grid.lattice.index(k, l) {
@@ -170,13 +170,13 @@ impl MicroImages {
         }
     }
 
-    /// The micro-images of a camera as its white images show them.
+    /// Creates the micro-images of a camera from its white images.
     pub fn of_precalibration(measured: &Precalibration, sheet: &Datasheet) -> Result<Self> {
         let Precalibration { array, internal, .. } = measured;
         Self::new(&array.grid, &array.centers, &internal.parameters, sheet)
     }
 
-    /// From what was measured before; an error if it is not of this camera.
+    /// Creates the micro-images from earlier measurements; an error if they are not of this camera.
     pub fn of_measurements(
         centers: &[MicroImageCenter],
         internal: &InternalParameters,
@@ -191,8 +191,8 @@ impl MicroImages {
         Self::new(&grid, centers, internal, sheet)
     }
 
-    /// The same with another aperture ratio φ; the discs of white images, and with them φqᵢ, stay as they are all over the
-    /// image.
+    /// Returns the micro-images with another aperture ratio φ. The discs of white images, and with them φqᵢ, stay the same all
+    /// over the image.
     #[must_use]
     pub fn with_aperture_ratio(&self, aperture_ratio: f64) -> Self {
         let (half_pitch, change) = (self.grid.pitch_px / 2.0, self.aperture_ratio / aperture_ratio);
@@ -208,54 +208,54 @@ impl MicroImages {
         other
     }
 
-    /// The same with the aperture ratio that other boards of this camera have shown: those in its images are not asked for it.
+    /// Returns the micro-images with the aperture ratio that other boards of this camera have shown. It is not estimated again
+    /// from the boards in its images.
     #[must_use]
     pub fn settled_at(&self, ratio: &Estimate) -> Self {
         Self { settled: Some(ratio.std_dev), ..self.with_aperture_ratio(ratio.value) }
     }
 
-    /// σ of the aperture ratio, if it is that which other boards have shown.
+    /// Returns σ of the aperture ratio, if other boards have shown it.
     pub(super) fn settled(&self) -> Option<f64> {
         self.settled
     }
 
-    /// φ, the aperture ratio.
+    /// Returns the aperture ratio φ.
     #[must_use]
     pub fn aperture_ratio(&self) -> f64 {
         self.aperture_ratio
     }
 
-    /// Variance of the point spread along an axis, px².
+    /// Returns the variance of the point spread along an axis, px².
     #[must_use]
     pub fn point_spread_px2(&self) -> f64 {
         self.point_spread_px2
     }
 
-    /// The middle of the image, px.
+    /// Returns the middle of the image, px.
     pub(super) fn middle(&self) -> Vector2<f64> {
         self.middle
     }
 
-    /// a in the middle of the image, px.
+    /// Returns the radius a of the pupil in the middle of the image, px.
     pub(super) fn pupil_px(&self) -> f64 {
         self.pupil_px
     }
 
-    /// How the micro-lens of a micro-image blurs.
+    /// Returns the optics of a micro-image.
     #[must_use]
     pub fn optics(&self, k: i32, l: i32) -> MicroOptics {
         let lens_type = self.grid.lattice.lens_type(k, l, self.q_prime_px.len());
         self.optics_at(&self.center(k, l), lens_type)
     }
 
-    /// Outer radius of the largest white micro-images in the middle of the image, but not beyond their
-    /// neighbours, px.
+    /// Returns the outer radius of the largest white micro-images in the middle of the image, px, at most half the pitch.
     pub(super) fn largest_outer_radius_px(&self) -> f64 {
         let radii = self.all_optics_at(&self.middle).map(|optics| optics.outer_radius_px());
         radii.fold(0.0, f64::max).min(self.grid.pitch_px / 2.0)
     }
 
-    /// How micro-lenses blur at a place in the image, by type.
+    /// Returns the optics of micro-lenses at a position in the image, by type.
     pub(super) fn all_optics_at(&self, place: &Vector2<f64>) -> impl Iterator<Item = MicroOptics> {
         (0..self.q_prime_px.len()).map(|lens_type| self.optics_at(place, lens_type))
     }
@@ -277,15 +277,15 @@ impl MicroImages {
         }
     }
 
-    /// Whether a place is in micro-images on the sensor, at least `margin_px` within the border of both: the
-    /// array may be smaller than the sensor.
+    /// Returns true if a position is in micro-images on the sensor, at least `margin_px` within the border of both: the array
+    /// may be smaller than the sensor.
     #[must_use]
     pub fn show(&self, place: &Vector2<f64>, sensor: &Sensor, margin_px: f64) -> bool {
         let grid = &self.grid;
         let turn = nalgebra::Rotation2::new(-grid.rotation_rad);
         let at = turn * (place - grid.center_px);
-        // Nodes lie about the middle of their bounding box, which the first one reaches, or the first
-        // two where every second is shifted.
+        // Nodes lie about the middle of their bounding box. The first one reaches its border, or the first two if every second
+        // one is shifted.
         let (right, below) = (1.min(grid.lattice.columns - 1), 1.min(grid.lattice.rows - 1));
         let outermost =
             [(0, 0), (right, 0), (0, below)].map(|(k, l)| grid.lattice.node(k, l).abs());
@@ -298,7 +298,7 @@ impl MicroImages {
             && sensor.contains(high.x, high.y)
     }
 
-    /// Micro-images whose centre is up to `reach` from a place, px.
+    /// Returns the micro-images whose centre is up to `reach` from a position, px.
     #[must_use]
     pub fn about(&self, place: &Vector2<f64>, reach: f64) -> Vec<(i32, i32)> {
         let lattice = &self.grid.lattice;
@@ -306,7 +306,7 @@ impl MicroImages {
         let turn = nalgebra::Rotation2::new(-self.grid.rotation_rad);
         let at = turn * from_middle;
         let middle = lattice.node(0, 0);
-        // Rows of a hexagonal lattice are closer than a pitch, and shifted by up to half a one.
+        // Rows of a hexagonal lattice are closer than a pitch, and shifted by up to half of it.
         let wide = reach / self.grid.pitch_px / ROW_DISTANCE + 1.5;
         #[allow(clippy::cast_possible_truncation)] // indices of a lattice
         let range = |at: f64, first: f64, spacing: f64, count: i32| {
@@ -331,7 +331,7 @@ pub(super) mod tests {
     use super::*;
     use crate::model::{Lattice, Packing};
 
-    /// Three by three micro-images about the middle of an image of 61 x 61 px.
+    /// Returns three by three micro-images about the middle of an image of 61 x 61 px.
     pub fn micro_images(pitch_px: f64) -> MicroImages {
         let sheet = Datasheet {
             sensor: Sensor { width_px: 61, height_px: 61, pixel_size_mm: 0.0055 },
@@ -378,7 +378,7 @@ pub(super) mod tests {
         let shows = |u: f64, v: f64, sensor: &Sensor, margin_px: f64| {
             micro_images.show(&Vector2::new(u, v), sensor, margin_px)
         };
-        // 24 px to every side of (30, 30).
+        // Micro-images extend 24 px to every side of (30, 30).
         assert!(shows(53.0, 30.0, &large, 0.0) && !shows(55.0, 30.0, &large, 0.0));
         assert!(shows(7.0, 7.0, &large, 0.5) && !shows(7.0, 7.0, &large, 2.0));
         assert!(shows(30.0, 53.0, &large, 0.0) && !shows(30.0, 53.0, &small, 0.0));

@@ -1,9 +1,8 @@
 //! BAP features from raw images of a checkerboard (paper, section 4).
 //!
-//! In the first pass micro-images are searched for a corner, each alone: one in four, those about corners, and all where
-//! these do not show the board. Observations of one corner lie on
-//! a line, and the pinhole images of all lines on the lattice of the board, which labels them. In the
-//! second pass every corner of the board is searched for in the micro-images that should show it.
+//! The first pass searches single micro-images for a corner: one in four, those near corners, and all if these do not show the
+//! board. Observations of one corner lie on a line, and the pinhole images of all lines lie on the lattice of the board, which
+//! labels them. The second pass searches for every corner of the board in the micro-images that should show it.
 
 mod aberration_fit;
 mod board;

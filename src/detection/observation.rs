@@ -1,10 +1,10 @@
-//! A corner as one micro-image shows it.
+//! Observation of a corner in one micro-image.
 
 use clap::ValueEnum;
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// A corner of the board observed in a micro-image.
+/// Corner of the board observed in a micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct CornerObservation {
     /// Index of the micro-image along u.
@@ -17,25 +17,25 @@ pub(crate) struct CornerObservation {
     pub position: Vector2<f64>,
     /// Covariance of the position, px².
     pub covariance: Matrix2<f64>,
-    /// A form that is positive along directions to bright squares and negative to dark ones, for the
-    /// pinhole image; zero if it is not known.
+    /// Quadratic form of the pinhole image that is positive along directions to bright squares and negative to dark ones; zero
+    /// if it is not known.
     pub squares: Matrix2<f64>,
 }
 
 impl CornerObservation {
-    /// Equations of two rows, along u and v, as independent ones of variance 1.
+    /// Converts equations of two rows, along u and v, to independent ones of variance 1.
     ///
     /// The covariance has to be positive.
     pub fn whitened<const N: usize>(&self, rows: &SMatrix<f64, 2, N>) -> SMatrix<f64, 2, N> {
         let [a, b, c] = [self.covariance.m11, self.covariance.m12, self.covariance.m22];
         let along_u = rows.row(0) / a.sqrt();
-        // v without what its correlation with u says of it.
+        // The part of v that correlates with u is removed.
         let along_v = (rows.row(1) - rows.row(0) * (b / a)) / (c - b * b / a).sqrt();
         SMatrix::from_rows(&[along_u, along_v])
     }
 }
 
-/// How the virtual depth of a corner is estimated from its observations.
+/// Estimator of the virtual depth of a corner from its observations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum DepthEstimator {

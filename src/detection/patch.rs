@@ -1,6 +1,6 @@
-//! The light of one micro-image, devignetted.
+//! Light of one micro-image, devignetted.
 
-// Only what is inlined into a dispatched function is compiled for its registers.
+// Only functions inlined into a dispatched function are compiled for its registers.
 #![allow(clippy::inline_always)]
 
 use nalgebra::Vector2;
@@ -9,8 +9,8 @@ use pulp::{Arch, NullaryFnOnce, Simd, WithSimd};
 use crate::image::Grey;
 use crate::numerics::simd::{dot, largest, sum, weighted_squares};
 
-/// Pixels of a micro-image: offsets from its centre (px), light relative to the white image, and
-/// weights, 1 where the white image is brightest.
+/// Pixels of a micro-image: offsets from its centre (px), light relative to the white image, and weights, which are 1 where the
+/// white image is brightest.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Patch {
     pub x: Vec<f32>,
@@ -19,13 +19,13 @@ pub(super) struct Patch {
     pub weight: Vec<f32>,
     /// Part of the pixels that is saturated in the board's image.
     pub saturated: f32,
-    /// Part of them that is saturated in the white image.
+    /// Part of the pixels that is saturated in the white image.
     pub saturated_white: f32,
-    /// Its brightest light in the white image.
+    /// Brightest light in the white image.
     pub brightest: f32,
 }
 
-/// Why a micro-image shows nothing.
+/// Reason why a micro-image shows nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Unusable {
     /// Cut by the border of the image.
@@ -41,7 +41,7 @@ pub(super) enum Unusable {
 }
 
 impl Patch {
-    /// Every n-th of its pixels.
+    /// Returns every n-th of its pixels.
     pub fn thinned(&self, n: usize) -> Self {
         let few = |all: &[f32]| all.iter().copied().step_by(n).collect();
         Self {
@@ -53,7 +53,7 @@ impl Patch {
         }
     }
 
-    /// Leaves the pixels that are marked, and says how many they are.
+    /// Keeps the pixels that are marked, and returns their number.
     pub(super) fn keep(&mut self, marks: &[u8]) -> usize {
         let n = marks.len();
         let all = [&mut self.x, &mut self.y, &mut self.light, &mut self.weight];
@@ -76,44 +76,44 @@ impl Patch {
         kept
     }
 
-    /// Weighted mean of the light.
+    /// Returns the weighted mean of the light.
     pub fn mean(&self) -> f64 {
         self.mean_and_std_dev().0
     }
 
-    /// Weighted mean and standard deviation of the light.
+    /// Returns the weighted mean and standard deviation of the light.
     pub fn mean_and_std_dev(&self) -> (f64, f64) {
         let [sum, first, second] = Arch::new().dispatch(LightMoments(self));
         let mean = first / sum;
         (f64::from(mean), f64::from((second / sum - mean * mean).max(0.0).sqrt()))
     }
 
-    /// Sum of the weights.
+    /// Returns the sum of the weights.
     pub fn sum_of_weights(&self) -> f64 {
         let [sum, ..] = Arch::new().dispatch(LightMoments(self));
         f64::from(sum)
     }
 
-    /// Weighted sum of squares of the light less its mean.
+    /// Returns the weighted sum of squares of the light minus its mean.
     pub fn sum_of_squares(&self) -> f64 {
         let std_dev = self.mean_and_std_dev().1;
         self.sum_of_weights() * std_dev * std_dev
     }
 }
 
-/// Pixels with less than this part of the micro-image's brightest light in the white image are not used.
+/// Smallest light of a pixel in the white image, relative to the brightest of the micro-image; darker pixels are not used.
 pub(super) const USABLE: f32 = 0.06;
-/// Variance of the read noise over that of the photon noise in the white image's brightest pixel: relative
-/// to their light, darker pixels have more of it.
+/// Variance of the read noise over the variance of the photon noise, in the white image's brightest pixel. Relative to their
+/// light, darker pixels have more read noise.
 const READ_NOISE: f32 = 0.25;
 
-/// The weight of a pixel whose light in the white image is such a part of the micro-image's brightest.
+/// Returns the weight of a pixel from its light in the white image, relative to the brightest of the micro-image.
 #[inline(always)]
 pub(super) fn weight(white: f32) -> f32 {
     white * white / (READ_NOISE + white) * (1.0 + READ_NOISE)
 }
 
-/// Fewest pixels for a corner of seven parameters, with some redundancy.
+/// Smallest number of pixels for a corner of seven parameters, with some redundancy.
 const FEWEST_PIXELS: usize = 40;
 
 /// Two images of the same size: a board and its white image.
@@ -124,8 +124,8 @@ pub(super) struct Pair<'a> {
 }
 
 impl Pair<'_> {
-    /// Reads the patch of the micro-image that has its light up to `reach` px from a centre into one that may have been used
-    /// before, or says why there is none.
+    /// Reads the patch of a micro-image with the light up to `reach` px from its centre, into a patch that can be reused; an
+    /// error if there is none.
     pub fn read(
         &self,
         center: &Vector2<f64>,
@@ -156,8 +156,8 @@ impl Pair<'_> {
         }
     }
 
-    /// The pixels up to `reach` from a centre, with their undivided light. The brightest light in the white image, and the
-    /// numbers of pixels that are saturated in both images; `None` if some are missing.
+    /// Collects the pixels up to `reach` from a centre, with their undivided light. Returns the brightest light in the white
+    /// image, and the number of saturated pixels in each image; `None` if some pixels are missing.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
     fn collect(
         &self,
@@ -196,7 +196,7 @@ impl Pair<'_> {
     }
 }
 
-/// The brightest light in the white image, and how many pixels are saturated in both images.
+/// Brightest light in the white image, and number of saturated pixels in each image.
 struct Brightness<'a> {
     board: &'a [f32],
     white: &'a [f32],
@@ -216,16 +216,16 @@ impl WithSimd for Brightness<'_> {
     }
 }
 
-/// Room for what is needed to read a patch.
+/// Buffers for reading a patch.
 #[derive(Default)]
 pub(super) struct Room {
     /// Light in the white image.
     white: Vec<f32>,
-    /// 1 for pixels that are used.
+    /// Marks of pixels: 1 for those that are used.
     keep: Vec<u8>,
 }
 
-/// Weights of the pixels of a patch, those times their light, and times its square.
+/// Sums over a patch of the weights, of weights times light, and of weights times squared light.
 struct LightMoments<'a>(&'a Patch);
 
 impl WithSimd for LightMoments<'_> {
@@ -238,8 +238,8 @@ impl WithSimd for LightMoments<'_> {
     }
 }
 
-/// Divides the light of pixels by that in the white image, weights them, and says which of them are used. The numbers of
-/// those with enough light in the white image, and of those that are not saturated there either.
+/// Division of the light of pixels by the white image, with weights and marks. It returns the number of pixels with enough
+/// light in the white image, and how many of them are not saturated there.
 struct Divided<'a> {
     patch: &'a mut Patch,
     room: &'a mut Room,

@@ -1,6 +1,6 @@
 //! Saddles of the light in a micro-image, where a corner may be.
 
-// Only what is inlined into a dispatched function is compiled for its registers.
+// Only functions inlined into a dispatched function are compiled for its registers.
 #![allow(clippy::inline_always)]
 
 use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
@@ -10,25 +10,26 @@ use super::corner::Corner;
 use super::patch::Patch;
 use crate::numerics::simd::{dot, sum};
 
-/// Least saddle that may be a corner: its flatter curvature over the steeper.
+/// Smallest ratio of the flatter to the steeper curvature of a saddle that may be a corner.
 const SADDLE: f64 = 0.12;
-/// Least curvature of a saddle over the least contrast, 1/px²: that of the widest blur.
+/// Smallest curvature of a saddle over the smallest contrast, px⁻²: the curvature with the widest blur.
 const CURVATURE: f64 = 0.03;
-/// Least standard deviation of the light over the least contrast: of a corner near the edge, where one
+/// Smallest standard deviation of the light over the smallest contrast. It is the value of a corner near the edge, where one
 /// quarter fills most of the micro-image.
 const LEAST_STD_DEV: f64 = 0.3;
 /// Contrast of a corner over the standard deviation of its light, which the blur lowers.
 const CONTRAST: f64 = 1.3;
-/// Half the width of steps that a fit starts with, px.
+/// Half the width of steps at the start of a fit, px.
 const START_WIDTH_PX: f64 = 3.0;
-/// One pixel of so many shows where saddles are.
+/// Step between the pixels in which saddles are searched for.
 const FEW: usize = 2;
-/// Saddles are searched for in all of the micro-image, and in round windows of it, px.
+/// Radius of round windows in which saddles are searched for, besides the whole micro-image, and their distance from its
+/// centre, px.
 const WINDOW_PX: f64 = 5.5;
 const WINDOWS_AT_PX: f64 = 4.5;
 
-/// Saddles of the light in windows of a micro-image, strongest first; none where the light varies
-/// less than a corner of the least contrast makes it.
+/// Returns the saddles of the light in windows of a micro-image, strongest first; none if the light varies less than with a
+/// corner of the smallest contrast.
 pub(super) fn saddles(patch: &Patch, least_contrast: f64) -> Vec<Corner> {
     let (mean, std_dev) = patch.mean_and_std_dev();
     if std_dev < LEAST_STD_DEV * least_contrast {
@@ -39,7 +40,7 @@ pub(super) fn saddles(patch: &Patch, least_contrast: f64) -> Vec<Corner> {
         (Vector2::new(angle.cos(), angle.sin()) * WINDOWS_AT_PX, WINDOW_PX)
     });
     let windows = std::iter::once((Vector2::zeros(), f64::INFINITY)).chain(around);
-    // A fit starts at a saddle: few pixels tell where.
+    // A fit starts at a saddle, so few pixels suffice.
     let (few, mut room) = (patch.thinned(FEW), Vec::new());
     let mut saddles: Vec<(f64, Corner)> = windows
         .filter_map(|(middle, radius)| saddle(&few, mean, std_dev, &middle, radius, &mut room))
@@ -49,8 +50,8 @@ pub(super) fn saddles(patch: &Patch, least_contrast: f64) -> Vec<Corner> {
     saddles.into_iter().map(|(_, corner)| corner).collect()
 }
 
-/// The saddle of a quadratic fitted to the light in a window, with its weaker curvature; `None` if it is
-/// no saddle, or lies elsewhere.
+/// Returns the saddle of a quadratic fitted to the light in a window, with its weaker curvature; `None` if it is no saddle, or
+/// lies elsewhere.
 #[allow(clippy::cast_possible_truncation)] // single precision, as the light
 fn saddle(
     patch: &Patch,
@@ -67,7 +68,7 @@ fn saddle(
         radius: radius as f32,
         room,
     });
-    // 1, x, y, x², xy and y² with each other.
+    // The matrix has the products of 1, x, y, x², xy and y² with each other.
     let product = |a: usize, b: usize| {
         let [x, y] = [0, 1].map(|axis| POWERS[a][axis] + POWERS[b][axis]);
         let order = x + y;
@@ -103,22 +104,22 @@ fn saddle(
     Some((bright.min(dark), corner))
 }
 
-/// Coordinates in windows are in this unit, px: then they are of size one.
+/// Unit of coordinates in windows, px, in which they are of size one.
 const SCALE: f32 = 8.0;
 /// Powers of x and y in a quadratic.
 const POWERS: [[usize; 2]; 6] = [[0, 0], [1, 0], [0, 1], [2, 0], [1, 1], [0, 2]];
 /// Number of powers up to the fourth order, by order and power of y.
 const ORDERS: usize = 15;
-/// Rows of numbers that the sums need.
+/// Number of rows of numbers that the sums need.
 const ROWS: usize = 12;
 
-/// Weighted sums over a round window: of powers up to the fourth order, and of the light less its mean times [`POWERS`].
+/// Weighted sums over a round window: of powers up to the fourth order, and of the light minus its mean times [`POWERS`].
 struct Moments<'a> {
     patch: &'a Patch,
     mean: f32,
     middle: [f32; 2],
     radius: f32,
-    /// Room for [`ROWS`] rows.
+    /// Buffer for [`ROWS`] rows.
     room: &'a mut Vec<f32>,
 }
 
@@ -128,7 +129,7 @@ impl WithSimd for Moments<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
         let Self { patch, mean, middle: [x0, y0], radius, room } = self;
-        // Pixels are in rows.
+        // Pixels are in the order of their rows.
         let first = patch.y.partition_point(|y| *y < y0 - radius);
         let last = patch.y.partition_point(|y| *y <= y0 + radius);
         let n = last - first;
@@ -182,7 +183,7 @@ impl WithSimd for Moments<'_> {
 mod tests {
     use super::*;
 
-    /// A quadratic is found as it is, in a window too, whatever the weights.
+    /// Checks that the saddle of a quadratic is exact, in a window too, whatever the weights.
     #[test]
     fn the_saddle_of_a_quadratic_is_its_own() {
         let mut patch = Patch::default();

@@ -1,5 +1,5 @@
-//! The second pass: every corner of the board where its line, or that of its neighbours, expects it, in all micro-images that
-//! should show it.
+//! Second pass: every corner of the board is searched for where its line, or its neighbours' lines, predict it, in all
+//! micro-images that should show it.
 
 use std::borrow::Cow;
 
@@ -24,83 +24,83 @@ use crate::model::BapFeature;
 use crate::model::taken::APERTURE_RATIO;
 use crate::numerics::median;
 
-/// Rounds in which every corner is searched for: in each its line, aberrations and the width of edges are those of the round
-/// before. There are at least two, and more while the aperture ratio changes.
+/// Numbers of rounds in which every corner is searched for. A round uses the lines, the aberrations and the width of edges of
+/// the previous one. There are at least two, and more while the aperture ratio changes.
 const ROUNDS: std::ops::RangeInclusive<usize> = 2..=4;
-/// The aperture ratio of a round has settled if it changes by less than this part, or by less than so many of its σ.
+/// Change of the aperture ratio below which it has settled, relative and in σ.
 const SETTLED: f64 = 0.005;
 const SETTLED_STD_DEVS: f64 = 0.5;
-/// Aperture ratios that edges of one frame are taken to have: noise may exceed what is possible a little.
+/// Range of aperture ratios from the edges of one frame: noise may exceed possible values a little.
 const RATIOS: std::ops::RangeInclusive<f64> = 0.2..=1.15;
-/// Boards with edges that are wider than this, px², are not sharp enough to be found.
+/// Largest excess edge variance, px²; boards with wider edges are not sharp enough to be found.
 const MOST_WIDER_PX2: f64 = 9.0;
 
-/// How far from where it is expected a corner is found, px.
+/// Largest distance of a corner from its expected position, px.
 const EXPECTED_PX: f64 = 1.2;
-/// The first round looks at one pixel of so many.
+/// Step between the pixels that the first round uses.
 const ROUGH_PIXELS: usize = 3;
-/// Least part of the light of its micro-image that a corner explains.
+/// Smallest part of the light of its micro-image that a corner explains.
 const EXPLAINED: f64 = 0.4;
-/// Largest median imbalance of its observations, see [`Corner::imbalance`].
+/// Largest median imbalance of the observations of a corner, see [`Corner::imbalance`].
 const IMBALANCE: f64 = 0.5;
-/// So many of them are enough for that.
+/// Number of observations that suffice for this median.
 const ENOUGH: usize = 12;
 /// Largest standard deviation of an observation, px.
 const UNCERTAIN_PX: f64 = 0.35;
-/// Corners are not searched for nearer than this, px, to where none of their light arrives.
+/// Smallest distance of corners from where none of their light arrives, px.
 const EDGE_PX: f64 = 0.15;
-/// Observations further than this many root mean square distances from their line are misplaced; the
-/// distance is not taken below the second number, px.
+/// Distance from their line, in root mean square distances, above which observations are misplaced; and lower limit of the
+/// latter, px.
 const OUTLIER: f64 = 4.0;
 const LEAST_RMS_PX: f64 = 0.08;
 
-/// A corner of the board with its line and, once it was searched for, its observations.
+/// Corner of the board with its line and, once it was searched for, its observations.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct BoardCorner {
     pub corner: i32,
     pub line: CornerLine,
-    /// The derivative of the line by ln φ.
+    /// Derivative of the line by ln φ.
     pub line_by_ratio: CornerLine,
     pub observations: Vec<Found>,
 }
 
-/// What was found of it in a micro-image.
+/// Corner found in a micro-image.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Found {
     pub observation: CornerObservation,
     pub corner: Corner,
-    /// How the place changes with what is taken from white images, px: see [`BapFeature::sensitivities_px`].
+    /// Derivatives of the position by the quantities from white images, px: see [`BapFeature::sensitivities_px`].
     pub by_taken: ByTaken,
-    /// What its light tells about its blur radius and the variance of its edges, and by how much that radius grows with ln φ, px,
-    /// together with the slope of the line.
+    /// Information of its light about its blur radius and the variance of its edges; and derivative of this radius by ln φ, px,
+    /// including the effect of the slope of the line.
     pub width: EdgeWidth,
     pub radius_by_ratio_px: f64,
 }
 
-/// What the second pass finds in a frame.
+/// Result of the second pass in a frame.
 pub(super) struct SecondPassed<'a> {
-    /// The micro-images, with the aperture ratio that the corners were fitted with.
+    /// Micro-images, with the aperture ratio that the corners were fitted with.
     pub micro_images: Cow<'a, MicroImages>,
-    /// The corners of the board with all their observations.
+    /// Corners of the board with all their observations.
     pub corners: Vec<BoardCorner>,
-    /// The aberrations that were taken out of them.
+    /// Aberrations that the positions are corrected for.
     pub aberration: Aberration,
-    /// Variance along an axis by which edges are wider than blur and pixels make them, px².
+    /// Excess edge variance along an axis, px².
     pub wider_px2: f64,
-    /// What is left of the aperture ratio and of that, by the edges of all corners, if these determine it.
+    /// Remaining changes of the aperture ratio and of this variance, from the edges of all corners, if they determine them.
     pub width: Option<WidthChange>,
 }
 
 impl BoardCorner {
-    /// One that is expected on a line, before it was searched for.
+    /// Creates a corner that is expected on a line, before it is searched for.
     pub fn expected(corner: i32, line: CornerLine) -> Self {
         let line_by_ratio = CornerLine::exact(Vector2::zeros(), 0.0);
         Self { corner, line, line_by_ratio, observations: Vec::new() }
     }
 }
 
-/// Searches for all corners of the board: those with a line where it expects them, and the others where the lines of their
-/// neighbours do.
+/// Searches for all corners of the board: where their lines predict them, or the lines of their neighbours for corners without
+/// one.
 pub(super) fn second_pass<'a>(
     frame: &Frame<'a>,
     mut corners: Vec<BoardCorner>,
@@ -113,7 +113,7 @@ pub(super) fn second_pass<'a>(
     let (middle, pupil) = (frame.search.sensor.center_px(), micro_images.pupil_px());
     let mut aberration = Aberration::none(middle, pupil);
     let (mut wider_px2, mut width) = (0.0, None);
-    // What other boards have shown is not asked of this one.
+    // The aperture ratio shown by other boards is not estimated again from this one.
     let free = micro_images.settled().is_none();
     for round in 1..=*ROUNDS.end() {
         let lines: Vec<CornerLine> = corners.iter().map(|c| c.line).collect();
@@ -136,7 +136,7 @@ pub(super) fn second_pass<'a>(
             rough,
         };
         let outcomes: Vec<Outcome> = corners.par_iter().map(|c| pass.search(c)).collect();
-        // Those of the last round count.
+        // The counts of the last round remain.
         counts.unclear = outcomes.iter().map(|o| o.unclear).sum();
         counts.misplaced = outcomes.iter().map(|o| o.misplaced).sum();
         counts.given_up = outcomes.iter().map(|o| o.given_up).sum();
@@ -173,7 +173,7 @@ pub(super) fn second_pass<'a>(
             wider_px2 = (wider_px2 + width.change.y).clamp(least, MOST_WIDER_PX2);
         }
     }
-    // There are none if there was no round.
+    // Corners have no observations if there was no round.
     corners.retain(|c| !c.observations.is_empty());
     let is_lost = |corner: &&i32| corners.iter().all(|c| c.corner != **corner);
     counts.lost += at_first.iter().filter(is_lost).count();
@@ -181,7 +181,7 @@ pub(super) fn second_pass<'a>(
     SecondPassed { micro_images, corners, aberration, wider_px2, width }
 }
 
-/// Corners in view that are not among some, on the lines that these lead to expect.
+/// Returns the corners in view that are not among some, on the lines that these predict.
 fn missing(
     frame: &Frame,
     corners: &[BoardCorner],
@@ -197,13 +197,13 @@ fn missing(
         .collect()
 }
 
-/// A corner of the board that was searched for: what was seen of it, without what is off its line.
+/// Corner of the board that was searched for, with its measurements near its line.
 struct Sought {
     pub corner: i32,
     pub seen: Vec<CornerMeasurement>,
 }
 
-/// What came of the search for a board corner, in numbers of micro-images that should show it.
+/// Result of the search for a board corner, with numbers of micro-images that should show it.
 struct Outcome {
     pub found: Option<Sought>,
     pub unclear: usize,
@@ -211,25 +211,25 @@ struct Outcome {
     pub given_up: usize,
 }
 
-/// The search for corners of the board in a frame, in one round.
+/// Search for corners of the board in a frame, in one round.
 struct CornerSearch<'a> {
     pub frame: &'a Frame<'a>,
-    /// With the aperture ratio that is known so far.
+    /// Micro-images with the aperture ratio that is known so far.
     pub micro_images: &'a MicroImages,
     pub labelled: &'a LabelledBoard,
     pub field: &'a SlopeField,
     pub distortion: &'a Distortion,
-    /// Of the frame.
+    /// Contrast of the frame.
     pub contrast: f64,
-    /// As far as it is known.
+    /// Aberrations that are known so far.
     pub aberration: Aberration,
-    /// Variance along an axis by which edges are wider than blur and pixels make them, px².
+    /// Excess edge variance along an axis, px².
     pub wider_px2: f64,
-    /// Whether some of the pixels are enough.
+    /// True if a part of the pixels suffices.
     pub rough: bool,
 }
 
-/// Room for one micro-image after the other.
+/// Buffers for one micro-image at a time.
 #[derive(Default)]
 struct Room {
     patch: Patch,
@@ -277,7 +277,7 @@ impl CornerSearch<'_> {
         Outcome { found, unclear, misplaced, given_up }
     }
 
-    /// What is seen of a corner in a micro-image, and its imbalance if that is asked for; `None` if it does not clearly show.
+    /// Measures a corner in a micro-image, and its imbalance if requested; `None` if it is not clearly visible.
     fn seen(
         &self,
         sought: &BoardCorner,
@@ -323,14 +323,14 @@ impl CornerSearch<'_> {
         Some((measurement, imbalance))
     }
 
-    /// A corner as it should show in the micro-image about `center`, whose mean light is `level`.
+    /// Returns the expected corner in the micro-image about `center`, whose mean light is `level`.
     fn expected_corner(&self, sought: &BoardCorner, center: &Vector2<f64>, level: f64) -> Corner {
         let (pinhole, nearness) = (sought.line.pinhole(), 1.0 - sought.line.slope);
         // Towards the next corner the slope changes, and with it the magnification.
         let seen = |step: &Vector2<f64>| {
             step * nearness - (pinhole - center) * self.field.gradient().dot(step)
         };
-        // Rows and columns of the board in the pinhole image.
+        // The labels give the directions of rows and columns in the pinhole image.
         let board = self.frame.search.board;
         let (right, down) = self.labelled.steps(board, sought.corner);
         let sheared = self.distortion.jacobian(&self.labelled.pinhole(board, sought.corner));
@@ -346,13 +346,14 @@ impl CornerSearch<'_> {
         }
     }
 
-    /// Squares alternate: those after an even corner are dark, see [`LabelledBoard::label`].
+    /// Returns true for even corners. Squares alternate: the squares after an even corner are dark, see
+    /// [`LabelledBoard::label`].
     fn is_even(&self, corner: i32) -> bool {
         let columns = self.frame.search.board.columns;
         (corner / columns + corner % columns) % 2 == 0
     }
 
-    /// A corner with its line, once the aberrations are known better.
+    /// Fits the line of a corner with a change of the aberrations.
     pub fn on_line(&self, found: Sought, change: &Vector3<f64>) -> Option<BoardCorner> {
         let Sought { corner, mut seen } = found;
         for seen in &mut seen {
@@ -365,7 +366,7 @@ impl CornerSearch<'_> {
         let line_by_ratio = CornerLine::exact(by_ratio.xy(), by_ratio.z);
         let found = |mut seen: CornerMeasurement| {
             let optics = self.micro_images.optics(seen.observation.k, seen.observation.l);
-            // With other places the line has another slope, and that blurs otherwise.
+            // A change of positions changes the slope of the line, and this changes the blur.
             seen.take_slope(&by_taken.row(2).into_owned());
             seen.change_slope(line.slope, &optics);
             Found {
@@ -383,7 +384,7 @@ impl CornerSearch<'_> {
 }
 
 impl Sought {
-    /// What was seen of a corner, without what is off its line.
+    /// Removes the measurements off the line of a corner; `None` if too few remain.
     fn near_line(sought: &BoardCorner, mut seen: Vec<CornerMeasurement>) -> Option<Self> {
         let line = CornerLine::fit(seen.iter().map(CornerMeasurement::on_line))?;
         let scale = line.rms_px.max(LEAST_RMS_PX);

@@ -1,18 +1,18 @@
-//! The slope of corners over the image: a plane board has a linear one, by Eq. (virtdepth).
+//! Slope of corners over the image, which is linear for a plane board, by Eq. (virtdepth).
 
 use nalgebra::{Vector1, Vector2, Vector3};
 
 use super::CornerLine;
 use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
 
-/// γ as a linear function of the pinhole image: by u and v, 1/px, and at (0, 0).
+/// γ as a linear function of the pinhole image: derivatives by u and v, px⁻¹, and value at (0, 0).
 pub(super) struct SlopeField(Vector3<f64>);
 
-/// Outliers of the field: corners that were labelled wrongly. There are too few corners to drop any
-/// altogether, so that the weights fall smoothly. Slopes are not known better than the least.
+/// Outliers of the field: corners with wrong labels. There are too few corners to drop any, so the weights decrease smoothly.
+/// Slopes are not known better than `least`.
 const OUTLIERS: Outliers =
     Outliers { weight: Weight::Smooth, scale: Scale::Median, scales: 4.5, least: 1e-6, slack: 0.0 };
-/// The weights settle in a few rounds; a field takes microseconds.
+/// Number of rounds, in which the weights settle; a field takes microseconds.
 const ROUNDS: usize = 10;
 
 impl SlopeField {
@@ -21,12 +21,12 @@ impl SlopeField {
         numerics::fit(&Lines(lines), None, ROUNDS, &OUTLIERS).map(|fitted| fitted.model)
     }
 
-    /// The slope of a corner with its pinhole image at a place.
+    /// Returns the slope of a corner with its pinhole image at a position.
     pub fn at(&self, place: &Vector2<f64>) -> f64 {
         self.gradient().dot(place) + self.0.z
     }
 
-    /// Change of the slope with the pinhole image, 1/px.
+    /// Returns the gradient of the slope by the pinhole image, px⁻¹.
     pub fn gradient(&self) -> Vector2<f64> {
         self.0.xy()
     }

@@ -1,4 +1,4 @@
-//! The detection as one stage: from images of boards to BAP features.
+//! Detection as one stage: from images of boards to BAP features.
 
 use std::borrow::Cow;
 
@@ -20,9 +20,9 @@ pub const AT_ONCE: usize = 4;
 /// Detects the board in a set of images. `white` is the white image in their light and at their
 /// f-number.
 ///
-/// `inspect` is called once for every image, from several threads, with the image if it could be
-/// read. An error if the white image does not have the size of the sensor, or from `inspect`; a
-/// frame without a board, or that cannot be read, is left out with a warning.
+/// `inspect` is called once for every image, from several threads, with the image if it could be read. Returns an error if the
+/// white image does not have the size of the sensor, or if `inspect` fails. A frame without a board, or that cannot be read, is
+/// left out with a warning.
 pub fn detect<'i>(
     images: &[BoardImage<'i>],
     white: &RawImage,
@@ -41,7 +41,7 @@ pub fn detect<'i>(
         Ok(detected)
     };
     let mut frames = Vec::new();
-    // Reading takes one core, so that a few frames at once keep all of them busy.
+    // Reading takes one core, so a few frames at once keep all cores busy.
     for some in images.chunks(AT_ONCE) {
         frames.extend(some.par_iter().map(find).collect::<Result<Vec<DetectedFrame>>>()?);
     }
@@ -82,7 +82,7 @@ fn searched<'i>(
     Ok((raw, found, likeness))
 }
 
-/// What was found in an image, and the image if it could be read.
+/// Returns the result of the detection in an image, and the image if it could be read.
 fn detected_frame<'i>(
     image: &BoardImage,
     found: Result<Searched<'i>>,
@@ -101,9 +101,9 @@ fn detected_frame<'i>(
     (DetectedFrame { frame: image.frame, name, result, counts, likeness, few_levels }, raw)
 }
 
-/// What was found in an image.
+/// Result of the search in an image.
 type Found = (std::result::Result<Detection, Issue>, FrameCounts);
-/// The image as well, and how its light follows the white image.
+/// Image, with the result of the search and the comparison of its light with the white image.
 type Searched<'i> = (Cow<'i, RawImage>, Found, Option<Likeness>);
 
 fn check_size(white: &RawImage, sensor: &Sensor) -> Result<()> {

@@ -1,4 +1,4 @@
-//! From corners to the labelled board on the real observations of the R12-A.
+//! Tests from corners to the labelled board, on the real observations of the R12-A.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -15,7 +15,7 @@ use crate::precalibration::{MicroImageArray, fit_grid};
 
 const R12: Sensor = Sensor { width_px: 4080, height_px: 3068, pixel_size_mm: 0.0055 };
 
-/// A published feature.
+/// Published feature.
 #[derive(serde::Deserialize)]
 struct Published {
     k: i32,
@@ -118,11 +118,11 @@ fn r12a_corners_are_clustered_and_labelled_as_published() {
     }
 }
 
-/// Δc and q' of their params.js.
+/// Δc and q' of the published params.js.
 const MICRO_IMAGE_PITCH_MM: f64 = 0.128_221_631_892_887_07;
 const Q_PRIME_MM: [f64; 3] =
     [0.035_135_191_355_331_4, 0.040_268_205_527_647, 0.036_822_146_226_151_445];
-/// Their λ is rounded, and their grid is not known to the last digit.
+/// Largest difference of ρ: the published λ is rounded, and the published grid is not known to the last digit.
 const RHO_BOUND_PX: f64 = 0.006;
 
 #[test]

@@ -1,9 +1,9 @@
-//! What the samples of a raw image stand for.
+//! The colours of the samples of a raw image.
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
-/// What the samples of a raw image stand for.
+/// The colours of the samples of a raw image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Color {
@@ -11,18 +11,18 @@ pub enum Color {
     Grey,
     /// Red, green and blue of every pixel.
     Rgb,
-    /// A colour mosaic that begins with red and green above green and blue.
+    /// Colour mosaic that begins with red and green above green and blue.
     BayerRggb,
-    /// Green and red above blue and green.
+    /// Colour mosaic that begins with green and red above blue and green.
     BayerGrbg,
-    /// Green and blue above red and green.
+    /// Colour mosaic that begins with green and blue above red and green.
     BayerGbrg,
-    /// Blue and green above green and red.
+    /// Colour mosaic that begins with blue and green above green and red.
     BayerBggr,
 }
 
 impl Color {
-    /// The name used in files.
+    /// Returns the name used in files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -35,13 +35,13 @@ impl Color {
         }
     }
 
-    /// Samples per pixel.
+    /// Returns the number of samples per pixel.
     #[must_use]
     pub fn samples(self) -> usize {
         if self == Self::Rgb { 3 } else { 1 }
     }
 
-    /// The colour (0 red, 1 green, 2 blue) that a mosaic has at pixel (u, v).
+    /// Returns the colour (0 red, 1 green, 2 blue) of a mosaic at pixel (u, v); `None` without a mosaic.
     #[must_use]
     pub fn mosaic(self, u: usize, v: usize) -> Option<usize> {
         let square = match self {

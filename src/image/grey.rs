@@ -1,4 +1,4 @@
-//! From raw samples to grey values that are linear in light.
+//! Conversion of raw samples to grey values that are linear in light.
 
 use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
@@ -6,32 +6,32 @@ use rayon::prelude::*;
 use super::{Color, Image, RawImage, Samples};
 use crate::model::SampleLevels;
 
-/// With fewer rows a second thread does not pay.
+/// Smallest number of rows per thread. With fewer rows a second thread does not pay.
 const SIDE_BY_SIDE: usize = 128;
 
 impl RawImage {
-    /// The image as grey values, to be taken whole or in parts, without black level.
+    /// Returns the image as grey values, to be read whole or in parts, without black level.
     #[must_use]
     pub fn grey(&self) -> Grey<'_> {
         self.grey_between(None)
     }
 
-    /// The same between the levels of the camera.
+    /// Returns the image as grey values between the levels of the camera.
     ///
-    /// Pixels are full where the image itself shows it, see [`Self::plateau`], or else at the
-    /// saturation level of the camera, unless the image has more light: the gain may have been another.
+    /// Pixels are full at the plateau of the image, see [`Self::plateau`]. Without a plateau they are full at the saturation
+    /// level of the camera, unless the image exceeds it, since the gain may differ.
     #[must_use]
     pub fn grey_between(&self, levels: Option<&SampleLevels>) -> Grey<'_> {
         let range = self.range(levels);
         Grey::between(self, self.channel_gains(range), range)
     }
 
-    /// Samples as parts of full scale, of all channels alike, wherever they are full.
+    /// Returns the samples as fractions of full scale, without gains of the channels or levels of the camera.
     pub(crate) fn as_they_are(&self) -> Grey<'_> {
         Grey::between(self, [1.0; 3], (0.0, self.full_scale()))
     }
 
-    /// The image with its samples, as parts of the largest one, raised to a power.
+    /// Returns the image with its samples, as fractions of the largest sample, raised to a power.
     pub(crate) fn to_the_power(&self, power: f64) -> Self {
         let [largest, _] = self.largest_and_step();
         let (largest, full) = (f64::from(largest).max(1.0), f64::from(u16::MAX));
@@ -47,21 +47,21 @@ impl RawImage {
         Self { samples: Samples::Bits16(samples), ..*self }
     }
 
-    /// The largest sample, and the largest step that all samples are multiples of: 16 of samples of 12 bits that are shifted
+    /// Returns the largest sample, and the largest step of which all samples are multiples: 16 for samples of 12 bits shifted
     /// into 16.
     pub(crate) fn largest_and_step(&self) -> [u16; 2] {
         self.largest_and_step_of_rows(1)
     }
 
-    /// How many levels its samples can have, by the step between those of one row in some, if they were rounded to few. (An image
-    /// with little light has few as well, but nothing was rounded.)
+    /// Returns the number of levels that the samples can have, if they were rounded to few; `None` otherwise. It follows from
+    /// the step between the samples of every 16th row. (An image with little light has few levels too, but was not rounded.)
     pub(crate) fn rounded_to_levels(&self) -> Option<u32> {
         const ONE_ROW_IN: usize = 16;
         const FEW: u32 = 64;
         let [largest, step] = self.largest_and_step_of_rows(ONE_ROW_IN);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 16 bits
         let levels = self.full_scale() as u32 / u32::from(step) + 1;
-        // One level alone, as of an image that is all full, shows no step.
+        // The samples of an image that is full everywhere have one level and no step.
         (levels <= FEW && largest > step).then_some(levels)
     }
 
@@ -87,7 +87,7 @@ impl RawImage {
         }
     }
 
-    /// Samples without light and of full pixels.
+    /// Returns the sample without light and the sample of full pixels.
     pub(super) fn range(&self, levels: Option<&SampleLevels>) -> (f64, f64) {
         let full = self.full_scale();
         let (black, saturation) = levels.map_or((0.0, None), SampleLevels::parts);
@@ -98,13 +98,13 @@ impl RawImage {
         (black, own.or_else(of_camera).unwrap_or(full))
     }
 
-    /// The whole image in grey, see [`Grey`].
+    /// Returns the whole image in grey, see [`Grey`].
     #[must_use]
     pub fn to_grey(&self) -> Image {
         self.grey().part(0, 0, self.width, self.height)
     }
 
-    /// Amplification of red, green and blue.
+    /// Returns the amplification of red, green and blue.
     #[allow(clippy::cast_possible_truncation)] // single precision, as grey values
     fn channel_gains(&self, range: (f64, f64)) -> [f32; 3] {
         let mut sums = [(0.0, 0.0); 3];
@@ -118,12 +118,12 @@ impl RawImage {
         }
         let means = sums.map(|(sum, count)| sum / count);
         let strongest = means.iter().copied().fold(f64::NAN, f64::max);
-        // An image that is all dark or saturated has nothing to compare.
+        // An image that is dark or saturated everywhere has nothing to compare.
         means.map(|mean| if mean > 0.0 { (strongest / mean) as f32 } else { 1.0 })
     }
 }
 
-/// Samples of a row without colours as grey values.
+/// A row of samples without colours, and its grey values.
 struct GreyRow<'a, T> {
     samples: &'a [T],
     pixels: &'a mut [f32],
@@ -134,7 +134,7 @@ struct GreyRow<'a, T> {
 impl<T: Copy + Into<f32>> NullaryFnOnce for GreyRow<'_, T> {
     type Output = ();
 
-    // Only what is inlined into a dispatched function is compiled for its registers.
+    // Only functions inlined into a dispatched one are compiled for its registers.
     #[allow(clippy::inline_always)]
     #[inline(always)]
     fn call(self) {
@@ -153,21 +153,21 @@ impl<T: Copy + Into<f32>> NullaryFnOnce for GreyRow<'_, T> {
 /// Black level and saturation level become 0 and 1. Noise about black is kept: values may be
 /// negative.
 ///
-/// The light is taken to be neutral: channels are amplified so that all respond like the strongest
+/// The light is assumed to be neutral. Channels are amplified so that all respond like the strongest
 /// one, by their means over places where none is saturated. Then all are clipped at 1, where the
-/// strongest one saturates. So a pixel of 1 is saturated, whatever its colour.
+/// strongest one saturates. So a pixel of 1 is saturated, for any colour.
 #[derive(Debug, Clone, Copy)]
 pub struct Grey<'a> {
     raw: &'a RawImage,
     gains: [f32; 3],
-    /// The black level, grey levels.
+    /// Black level, grey levels.
     black: f32,
-    /// Light by grey level.
+    /// Light per grey level.
     scale: f32,
 }
 
 impl Grey<'_> {
-    /// Between these samples.
+    /// Creates grey values between these samples.
     #[allow(clippy::cast_possible_truncation)] // samples have 16 bits
     fn between(raw: &RawImage, gains: [f32; 3], (black, white): (f64, f64)) -> Grey<'_> {
         let range = (white - black) as f32;
@@ -179,19 +179,19 @@ impl Grey<'_> {
         Grey { raw, gains, black: black as f32, scale }
     }
 
-    /// The light of a sample of 0, in the channel that responds most: below it noise is clipped.
+    /// Returns the light of a sample of 0 in the strongest channel. Noise below it is clipped.
     #[must_use]
     pub fn floor(&self) -> f64 {
         f64::from(-self.black * self.scale)
     }
 
-    /// Width and height of the whole image, px.
+    /// Returns width and height of the whole image, px.
     #[must_use]
     pub fn size(&self) -> (usize, usize) {
         (self.raw.width, self.raw.height)
     }
 
-    /// A part of the image, cut at its borders.
+    /// Returns a part of the image, cut at its borders.
     #[must_use]
     pub fn part(&self, left: usize, top: usize, width: usize, height: usize) -> Image {
         match &self.raw.samples {
@@ -220,7 +220,7 @@ impl Grey<'_> {
         Image { width, height, pixels }
     }
 
-    /// Reads pixels of a row, from (u, v) on.
+    /// Reads pixels of a row, starting at (u, v).
     #[inline]
     pub(crate) fn read_row(&self, from: (usize, usize), pixels: &mut [f32]) {
         match &self.raw.samples {

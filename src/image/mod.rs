@@ -1,4 +1,4 @@
-//! Images: linear grey values to compute with, and samples as a camera delivers them.
+//! Images: linear grey values to compute with, and the samples of a camera.
 
 mod color;
 mod grey;
@@ -19,12 +19,12 @@ pub struct Image {
     pub width: usize,
     /// Height, px.
     pub height: usize,
-    /// `width · height` values.
+    /// Values of the pixels, `width · height`.
     pub pixels: Vec<f32>,
 }
 
 impl Image {
-    /// The value of pixel (u, v).
+    /// Returns the value of pixel (u, v).
     ///
     /// # Panics
     /// If there is no such pixel.
@@ -35,45 +35,45 @@ impl Image {
     }
 }
 
-/// Means of a mosaic's greens, or of a grey image's parities, differ by less than this fraction.
+/// Largest relative difference of the means of a mosaic's two greens, or of a grey image's parities.
 const ALIKE: f64 = 0.05;
 
-/// Whether two of [`RawImage::parity_means`] differ like two colours of a mosaic.
+/// Returns true if two of [`RawImage::parity_means`] differ like two colours of a mosaic.
 fn alternate(a: f64, b: f64) -> bool {
     (a / b - 1.0).abs() > ALIKE
 }
 
-/// Samples as a camera delivers them: whole numbers from 0 to 255, or to 65 535.
+/// The samples of a camera: whole numbers from 0 to 255, or to 65 535.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Samples {
-    /// Of 8 bits.
+    /// Samples of 8 bits.
     Bits8(Vec<u8>),
-    /// Of 16 bits.
+    /// Samples of 16 bits.
     Bits16(Vec<u16>),
 }
 
-/// An image as a camera delivers it.
+/// An image with the samples of a camera.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RawImage {
     /// Width, px.
     pub width: usize,
     /// Height, px.
     pub height: usize,
-    /// What the samples stand for.
+    /// Colours of the samples.
     pub color: Color,
-    /// `width · height · color.samples()` values, row by row.
+    /// Samples, row by row: `width · height · color.samples()` values.
     pub samples: Samples,
 }
 
-/// Samples above this fraction of the range are too close to saturation to compare colours by.
+/// Largest sample for the comparison of colours, as a fraction of the range. Larger ones are too close to saturation.
 const NEARLY_FULL: f64 = 0.95;
-/// Samples below this fraction of the range are mostly noise.
+/// Smallest sample for the comparison of colours, as a fraction of the range. Smaller ones are mostly noise.
 const NEARLY_DARK: f64 = 0.02;
-/// Number of pairs of rows, spread over an image, in which its channels are compared.
+/// Least number of pairs of rows, spread over a large image, in which its channels are compared.
 const COMPARED: usize = 256;
 
 impl RawImage {
-    /// Bits of a sample: 8 or 16.
+    /// Returns the number of bits of a sample: 8 or 16.
     #[must_use]
     pub fn bits(&self) -> u32 {
         match self.samples {
@@ -82,13 +82,13 @@ impl RawImage {
         }
     }
 
-    /// The largest value that a sample can have.
+    /// Returns the largest value that a sample can have.
     #[must_use]
     pub fn full_scale(&self) -> f64 {
         full_scale(self.bits())
     }
 
-    /// Means of the samples at even and odd columns of even rows, then of odd rows, over places
+    /// Returns the means of the samples at even and odd columns of even rows, then of odd rows, over places
     /// where none is saturated or dark, as fractions of the range of the image; `None` if there are no
     /// such places. Behind a colour mosaic they differ, except for the two greens; in a grey image they
     /// do not.
@@ -107,15 +107,15 @@ impl RawImage {
         (count > 0.0).then(|| sums.map(|sum| sum / count))
     }
 
-    /// Whether a white image with one sample per pixel seems to be behind a colour mosaic; `None`
-    /// if it cannot be decided.
+    /// Returns true if a white image with one sample per pixel seems to be behind a colour mosaic; `None`
+    /// if this cannot be decided.
     #[must_use]
     pub fn shows_mosaic(&self) -> Option<bool> {
         let [a, b, c, d] = self.parity_means()?;
         Some(alternate(a, b) || alternate(a, c) || alternate(a, d))
     }
 
-    /// Why the stated colour of a white image is doubtful; `None` if it is not.
+    /// Returns the reason why the stated colour of a white image is doubtful; `None` if it is not.
     #[must_use]
     pub fn doubtful_color(&self) -> Option<Issue> {
         let [a, b, c, d] = self.parity_means()?;
@@ -178,7 +178,7 @@ impl RawImage {
     }
 }
 
-/// The rectangle (left, top, width, height) of pixels that contains some positions with a margin of
+/// Returns the rectangle (left, top, width, height) of pixels that contains some positions with a margin of
 /// `reach`, cut at 0, and the position of its first pixel.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
 pub(crate) fn bounds(
@@ -208,14 +208,14 @@ mod tests {
         assert_eq!(of(vec![0, 4095, 12]).largest_and_step(), [4095, 3]);
         assert_eq!(of(vec![7, 4095, 12]).largest_and_step(), [4095, 1]);
         assert_eq!(of(vec![0, 0]).largest_and_step(), [0, 1]);
-        // Of 4 bits in 16; of 12 bits in 16, also with little light; of 16 bits with hardly any.
+        // Samples of 4 bits in 16; of 12 bits in 16, also with little light; of 16 bits with almost no light.
         let levels = |samples: Vec<u16>| of(samples).rounded_to_levels();
         assert_eq!(levels(vec![4369, 0, 13_107]), Some(16));
         assert_eq!(levels(vec![0, 65_520, 16]), None);
         assert_eq!(levels(vec![0, 480, 16]), None);
         assert_eq!(levels(vec![65_535, 65_535]), None);
         assert_eq!(levels(vec![0, 9, 4]), None);
-        // Raised to a power the largest one stays full.
+        // Raised to a power, the largest sample stays full.
         let raised = of(vec![0, 1000, 4095]).to_the_power(2.2);
         let expected = (65_535.0 * (1000.0_f64 / 4095.0).powf(2.2)).round();
         assert_eq!(raised.largest_and_step()[0], 65_535);
@@ -223,7 +223,7 @@ mod tests {
         assert!((f64::from(samples[1]) - expected).abs() < 0.5);
     }
 
-    /// Grey levels behind a mosaic, with channels that respond with 0.5, 1 and 0.25.
+    /// Returns grey levels behind a mosaic, with channels that respond with 0.5, 1 and 0.25.
     fn mosaic(color: Color, levels: &[f64]) -> RawImage {
         let width = 2 * levels.len();
         let response = [0.5, 1.0, 0.25];
@@ -252,7 +252,7 @@ mod tests {
         }
     }
 
-    /// Wherever it begins.
+    /// A part may begin at any pixel.
     #[test]
     #[allow(clippy::float_cmp)] // of the same samples
     fn a_part_of_a_row_is_that_of_the_image() {

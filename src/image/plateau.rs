@@ -6,30 +6,30 @@
 
 use super::{RawImage, Samples};
 
-/// Width of the spike, in 255ths of the largest sample: of samples that are cut, and of full wells with
-/// the noise of their read-out.
+/// Widths of the plateau, in 255ths of the largest sample: for clipped samples, and for full wells with read-out
+/// noise.
 const WIDTHS: [f64; 2] = [1.0, 2.0];
-/// It is looked for so far below the largest sample, in the same unit.
+/// Largest distance of the plateau below the largest sample, in 255ths of the largest sample.
 const REACH: f64 = 6.0;
-/// Steps of the search to that unit, of a grey level at least.
+/// Number of steps of the search per 255th of the largest sample. A step is at least one grey level.
 const STEPS: f64 = 4.0;
-/// It is denser than the samples just below, over twice its width, by this factor.
+/// Least density of the plateau over the density of the samples just below, within twice its width.
 const DENSER: f64 = 3.0;
-/// Above it are fewer samples than this part of its own: noise, and hot pixels.
+/// Largest number of samples above the plateau, over the number in it: noise, and hot pixels.
 const ABOVE: f64 = 0.1;
-/// Part of all samples in a plateau, at least, and their least number.
+/// Least fraction of all samples in a plateau, and their least number.
 const LEAST_PART: f64 = 1e-4;
 const LEAST: f64 = 40.0;
-/// Samples of full pixels scatter by up to so many standard deviations.
+/// Largest scatter of the samples of full pixels, in standard deviations.
 const SCATTER: f64 = 3.0;
-/// With fewer grey levels than this every one of them is a spike.
+/// Lowest plateau, grey levels. With fewer levels every one of them is a spike.
 const LOWEST: f64 = 64.0;
-/// Rows that show it.
+/// Largest number of rows in the histogram.
 const ROWS: usize = 512;
 
-/// How often every sample occurs in some rows, summed up from 0.
+/// The cumulative histogram of the samples in some rows.
 struct Histogram {
-    /// Number of samples below each.
+    /// Number of samples below each grey level.
     below: Vec<f64>,
 }
 
@@ -60,14 +60,14 @@ impl Histogram {
         self.below.last().copied().unwrap_or_default()
     }
 
-    /// Number of samples from `low` up to, but without, `high`.
+    /// Returns the number of samples from `low` up to, but without, `high`.
     fn count(&self, low: f64, high: f64) -> f64 {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // cut to the range
         let below = |s: f64| self.below[(s.ceil().max(0.0) as usize).min(self.below.len() - 1)];
         below(high) - below(low)
     }
 
-    /// Mean and standard deviation of the samples from `low` up to, but without, `high`.
+    /// Returns mean and standard deviation of the samples from `low` up to, but without, `high`.
     fn moments(&self, low: f64, high: f64) -> (f64, f64) {
         let (mut count, mut first, mut second) = (0.0, 0.0, 0.0);
         let mut sample = low.ceil().max(0.0);
@@ -84,8 +84,8 @@ impl Histogram {
 }
 
 impl RawImage {
-    /// The sample from which on pixels are full, by the plateau in the histogram of this image; `None`
-    /// if it shows none.
+    /// Returns the sample from which pixels are full, by the plateau in the histogram of this image; `None`
+    /// without a plateau.
     #[must_use]
     pub fn plateau(&self) -> Option<f64> {
         let histogram = Histogram::of(self);
@@ -112,7 +112,7 @@ impl RawImage {
         Some((mean - SCATTER * std_dev).max(low))
     }
 
-    /// Whether many samples are above this one.
+    /// Returns true if many samples are above this one.
     pub(super) fn exceeds(&self, sample: f64) -> bool {
         let histogram = Histogram::of(self);
         let unit = self.full_scale() / 255.0;
@@ -125,7 +125,7 @@ mod tests {
     use super::super::Color;
     use super::*;
 
-    /// Samples that thin out upwards over a tenth of the largest, cut at `full`, with some at
+    /// Returns samples that thin out upwards over a tenth of the largest, cut at `full`, with some at
     /// `hot`.
     fn image(largest: f64, full: f64, hot: f64) -> RawImage {
         let sample = |i: usize| {
@@ -165,7 +165,7 @@ mod tests {
         assert_eq!(image(240.0, 128.0, 128.0).plateau(), None);
     }
 
-    /// The camera's saturation holds unless the image has more light.
+    /// The camera's saturation level holds unless the image exceeds it.
     #[test]
     fn an_image_without_full_pixels_takes_the_cameras_levels() {
         use crate::model::SampleLevels;

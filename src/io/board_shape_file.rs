@@ -1,4 +1,4 @@
-//! `board_shape` of `calibration.json`: the board as the calibration has found it.
+//! `board_shape` of `calibration.json`: shape of the board estimated by a calibration.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -26,7 +26,7 @@ struct StdDev {
     value: f64,
 }
 
-/// `truth/board.toml` of a simulation.
+/// Content of `truth/board.toml` of a simulation.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TrueBoard {
@@ -45,7 +45,7 @@ pub fn read_true_board(path: &Path) -> Result<BoardShape> {
     Ok(BoardShape { sag_x_mm, sag_y_mm, twist_mm, aspect })
 }
 
-/// Board and shape as JSON, with σ of what was estimated, and limits (2 σ) of what was found to be 0.
+/// Returns board and shape as JSON, with σ of what was estimated, and limits (2 σ) of what was found to be 0.
 #[must_use]
 pub(super) fn board_shape_document(result: &BoardResult) -> Value {
     let by_name = |values: [Option<f64>; SHAPE]| -> Map<String, Value> {
@@ -82,7 +82,7 @@ pub(super) fn board_shape_document(result: &BoardResult) -> Value {
 }
 
 /// Reads the shape of a board from a `calibration.json`, with its σ in the order of [`Parameter::SHAPE`], `None` for what was
-/// not estimated; `None` if it is of another board ([`Board::is_same`]), or of none.
+/// not estimated. Returns `None` if the file is about another board ([`Board::is_same`]) or about none.
 pub fn read_board_shape(
     path: &Path,
     board: &Board,

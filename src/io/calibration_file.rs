@@ -1,5 +1,5 @@
-//! `calibration.json`: a calibration with all details of how it was obtained; and `cost.json`, the same at a solution from
-//! elsewhere.
+//! `calibration.json`: result of a calibration with all details; `cost.json`: the same details at a solution of another
+//! program.
 
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -16,8 +16,8 @@ use crate::model::{Parameter, Rmse};
 use crate::quantity::Estimate;
 use crate::solver::{LossKind, SystematicChange};
 
-/// The content of `camera.json` for a calibration: also whether it has converged, the verdict with the codes of its reasons,
-/// and the distances of its boards.
+/// Returns the content of `camera.json` for a calibration. It also states whether the calibration has converged, the verdict
+/// with the codes of its reasons, and the distances of its boards.
 #[must_use]
 pub fn calibrated_camera_document(calibration: &Calibration, assessment: &Assessment) -> Value {
     let mut camera = camera_document(&calibration.camera, Some(&calibration.uncertainty));
@@ -35,7 +35,7 @@ pub fn calibrated_camera_document(calibration: &Calibration, assessment: &Assess
     camera
 }
 
-/// The errors of the features of a frame.
+/// Errors of the features of a frame.
 #[derive(Serialize)]
 struct FrameErrors {
     frame: u32,
@@ -137,7 +137,7 @@ fn priors_document(calibration: &Calibration) -> Value {
     })
 }
 
-/// What each error that all features share changes, by parameter.
+/// Returns the changes of the parameters due to each systematic error.
 fn systematic_errors_document(calibration: &Calibration) -> Vec<Value> {
     let uncertainty = &calibration.uncertainty;
     let names = Parameter::shared(calibration.camera.lens_types());
@@ -152,7 +152,7 @@ fn systematic_errors_document(calibration: &Calibration) -> Vec<Value> {
     uncertainty.systematic_changes.iter().map(of).collect()
 }
 
-/// Both σ of every free parameter, and how uncertain the first is.
+/// Returns both σ of every free parameter, and the relative uncertainty of the first.
 fn std_devs_document(calibration: &Calibration) -> Value {
     let lens_types = calibration.camera.lens_types();
     let uncertainty = &calibration.uncertainty;
@@ -174,7 +174,7 @@ fn std_devs_document(calibration: &Calibration) -> Value {
     json!({ "errors": errors_text(uncertainty), "parameters": parameters })
 }
 
-/// The result of a calibration as one JSON object. `time_s` is the wall time of the whole command.
+/// Returns the result of a calibration as one JSON object. `time_s` is the wall time of the whole command.
 #[must_use]
 pub fn calibration_document(
     calibration: &Calibration,
@@ -246,7 +246,7 @@ pub fn calibration_document(
     })
 }
 
-/// What the widths of edges say, lens types in order; null without measured blur.
+/// Returns the aperture ratio and the excess edge variance of each lens type; null without measured blur.
 fn blur_document(measured: Option<&BlurMeasurement>) -> Value {
     let of_type = |of: &TypeBlur| {
         let Estimate { value: excess_px, std_dev: std_dev_px } = of.excess_px;
@@ -264,7 +264,7 @@ fn blur_document(measured: Option<&BlurMeasurement>) -> Value {
     })
 }
 
-/// `models`: what groups of parameters are worth.
+/// Returns `models`: the comparison of models without groups of parameters.
 #[must_use]
 pub fn models_document(comparison: &ModelComparison) -> Value {
     let of_group = |without: &WithoutGroup| {
@@ -303,8 +303,8 @@ pub fn models_document(comparison: &ModelComparison) -> Value {
     })
 }
 
-/// `evaluation` of `cost.json`: the parts of a cost (features, centres, priors), its gradient, and what one more step would gain, by the names of the
-/// free parameters and in their units.
+/// Returns `evaluation` of `cost.json`: the parts of the cost (features, centres, priors), its gradient and the gain of one
+/// more step, by the names of the free parameters and in their units.
 #[must_use]
 pub fn cost_document(evaluated: &Calibration, [features, centers, priors]: [f64; 3]) -> Value {
     let uncertainty = &evaluated.uncertainty;

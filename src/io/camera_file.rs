@@ -1,4 +1,4 @@
-//! `camera.json`: a calibrated camera with the uncertainty of its parameters.
+//! `camera.json`: calibrated camera with the uncertainty of its parameters.
 //!
 //! The unit of every number is in its name. The meaning of the numbers is documented at
 //! [`PlenopticCamera`]. A reader has to check `format` and `version` first.
@@ -19,10 +19,9 @@ use crate::model::{EdgeSpread, Parameter, PlenopticCamera};
 use crate::quantity::Estimate;
 use crate::solver::Uncertainty;
 
-/// `format` of the file.
+/// Value of `format` in the file.
 pub const CAMERA_FORMAT: &str = "plenocal-camera";
-/// `version` of the file. Files of version 1 have neither an exit pupil nor a curvature of the field: both
-/// are 0.
+/// Value of `version` in the file. Files of version 1 have neither an exit pupil nor a field curvature: both are 0.
 pub const CAMERA_VERSION: u64 = 2;
 
 #[derive(Serialize)]
@@ -33,8 +32,8 @@ struct CameraFile {
     camera: PlenopticCamera,
 }
 
-/// The content of `camera.json`: the camera, and if known the standard deviation of every free
-/// parameter with the correlations between them, by the parameters' names.
+/// Returns the content of `camera.json`: the camera and, if known, the standard deviation of every free parameter with the
+/// correlations between them, by the names of the parameters.
 #[must_use]
 pub fn camera_document(camera: &PlenopticCamera, uncertainty: Option<&Uncertainty>) -> Value {
     let mut document = json!(CameraFile {
@@ -51,7 +50,7 @@ pub fn camera_document(camera: &PlenopticCamera, uncertainty: Option<&Uncertaint
     document
 }
 
-/// How wide a point is blurred, for depth from blur: σ² = (κρ)² + s²; `None` where the aperture ratio is not known.
+/// Returns the blur of a point, for depth from blur: σ² = (κρ)² + s²; `None` if the aperture ratio is not known.
 fn depth_from_blur_document(edges: &EdgeSpread) -> Option<Value> {
     let Estimate { value, std_dev } = edges.spread_per_radius()?;
     Some(json!({
@@ -70,7 +69,7 @@ fn uncertainty_document(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> 
             Some((p.name().to_owned(), json!({ "value": std_dev?, "unit": p.unit() })))
         })
         .collect();
-    // What follows those of the camera is of the board.
+    // The indices after the parameters of the camera belong to the board.
     let free = uncertainty.free_intrinsics.iter();
     let names: Vec<&str> = free.map_while(|&i| Some(parameters.get(i)?.name())).collect();
     let correlations = uncertainty.intrinsic_correlations();
@@ -86,7 +85,7 @@ fn uncertainty_document(camera: &PlenopticCamera, uncertainty: &Uncertainty) -> 
     })
 }
 
-/// What the errors of observations were taken to be.
+/// Describes which observations are assumed to share errors.
 pub(super) fn errors_text(uncertainty: &Uncertainty) -> &'static str {
     match (uncertainty.shared, uncertainty.free_intrinsics.is_empty()) {
         (_, true) => "shared by corners",
@@ -95,14 +94,14 @@ pub(super) fn errors_text(uncertainty: &Uncertainty) -> &'static str {
     }
 }
 
-/// Name of the file, as commands write it.
+/// Name of the file written by commands.
 const NAME: &str = "camera.json";
-/// Cameras are looked for in folders so deep, as `results/calibration` in the folder of a project.
+/// Depth of the search for cameras in folders, as for `results/calibration` in the folder of a project.
 const DEPTH: usize = 2;
-/// More cameras are not worth naming.
+/// Largest number of cameras that are named.
 const MOST_CAMERAS: usize = 4;
 
-/// The camera files in a folder and in those that it contains, by their names; those of fewer folders first.
+/// Returns the camera files in a folder and its subfolders, by their names; files in fewer folders come first.
 #[must_use]
 pub fn cameras_in(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
@@ -124,9 +123,9 @@ pub fn read_camera(path: &Path) -> Result<PlenopticCamera> {
     camera_from(value).map_err(|e| e.in_file(path))
 }
 
-/// Findings about the calibration that the camera of a `camera.json` is from: that it did not converge, did not determine
-/// some parameters, or ended in the verdict "do not use". Empty for a camera that nothing speaks against, or of which no
-/// calibration is known.
+/// Returns findings about the calibration of the camera in a `camera.json`: that it did not converge, did not determine some
+/// parameters, or ended in the verdict "do not use". Empty without such problems, or if the file has no information about a
+/// calibration.
 #[must_use]
 pub fn camera_findings(document: &Value) -> Vec<Finding> {
     let mut issues = Vec::new();
@@ -150,25 +149,24 @@ pub fn camera_findings(document: &Value) -> Vec<Finding> {
     issues.into_iter().map(Finding::unusable).collect()
 }
 
-/// The findings of [`camera_findings`] about the camera in a file; COMPOTE's files give none.
+/// Reads the findings of [`camera_findings`] about the camera in a file; COMPOTE's files have none.
 pub fn read_camera_findings(path: &Path) -> Result<Vec<Finding>> {
     let about = |finding: Finding| finding.about(Subject::File(path.to_owned()));
     Ok(camera_findings(&read_json(path)?).into_iter().map(about).collect())
 }
 
-/// Nearest and furthest distance (mm) of the boards that the camera of a `camera.json` was calibrated with, by their corner 0;
-/// `None` where the file does not say.
+/// Reads the nearest and furthest distance (mm) of the boards of the calibration, at their corner 0, from a `camera.json`;
+/// `None` if the file does not state them.
 pub fn read_board_distances(path: &Path) -> Result<Option<[f64; 2]>> {
     let boards = &read_json(path)?["boards"];
     let [near, far] = ["near_mm", "far_mm"].map(|name| boards[name].as_f64());
     Ok(near.zip(far).map(|(near, far)| [near, far]))
 }
 
-/// Reads the standard deviations in a `camera.json`, in the order of
-/// [`PlenopticCamera::intrinsics`]; `None` for parameters that were fixed or not determined, and
-/// where the file has none.
+/// Reads the standard deviations in a `camera.json`, in the order of [`PlenopticCamera::intrinsics`]; `None` for parameters
+/// that were fixed or not determined, and if the file has none.
 ///
-/// An error names one that is no standard deviation.
+/// An error names an impossible standard deviation.
 pub fn read_std_devs(path: &Path, lens_types: usize) -> Result<Vec<Option<f64>>> {
     let value = read_json(path)?;
     let std_devs = &value["uncertainty"]["standard_deviations"];
@@ -188,14 +186,14 @@ pub fn read_std_devs(path: &Path, lens_types: usize) -> Result<Vec<Option<f64>>>
     Parameter::intrinsic(lens_types).iter().map(of_parameter).collect()
 }
 
-/// Differences over a smaller one, and squares of a larger one, are not finite; in the units of the parameters, those of cameras
-/// are from 1e-12 to 1e3.
+/// Possible standard deviations, in the units of the parameters. Differences over a smaller one, and squares of a larger one,
+/// are not finite; for real cameras they are between 1e-12 and 1e3.
 const POSSIBLE_STD_DEVS: RangeInclusive<f64> = 1e-30..=1e30;
 
-/// Keys of the file beside those of the camera, and whether a reader looks into them.
+/// Keys of the file beside the keys of the camera.
 const BESIDE: [&str; 7] =
     ["format", "version", "uncertainty", "boards", "verdict", "converged", "depth_from_blur"];
-/// Keys of the camera itself; the last is that of earlier files.
+/// Keys of the camera itself; the last one is an earlier name of the key before it.
 const OF_CAMERA: [&str; 6] = [
     "sensor",
     "main_lens",
@@ -205,7 +203,7 @@ const OF_CAMERA: [&str; 6] = [
     "point_spread",
 ];
 
-/// The camera in a JSON document.
+/// Returns the camera in a JSON document.
 pub(super) fn camera_from(mut value: Value) -> Result<PlenopticCamera> {
     check_version(&value, CAMERA_FORMAT, CAMERA_VERSION)?;
     if let Some(fields) = value.as_object_mut() {

@@ -1,10 +1,10 @@
-//! `comparison.json`: two cameras compared.
+//! `comparison.json`: comparison of two cameras.
 
 use serde_json::{Value, json};
 
 use crate::assessment::{CameraComparison, DistanceDifference, ParameterPair};
 
-/// A comparison as JSON.
+/// Returns a comparison as JSON.
 #[must_use]
 pub fn comparison_document(comparison: &CameraComparison) -> Value {
     let parameter = |pair: &ParameterPair| {

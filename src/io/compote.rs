@@ -1,20 +1,20 @@
-//! Reads and writes COMPOTE's files. Nothing outside this module knows its conventions.
+//! Reads and writes COMPOTE's files. Nothing outside this module depends on its conventions.
 //!
-//! Where they differ from plenocal's:
+//! They differ from plenocal's:
 //! - JSON numbers are mostly written as strings, vectors as matrices of one row.
 //! - Micro-lenses (k', l') count along +x and +y of the camera, opposite to the micro-images:
-//!   k' = columns − 1 − k, l' = rows − 1 − l. So do the pixels of the sensor's frame:
+//!   k' = columns − 1 − k, l' = rows − 1 − l. Pixels of the sensor's frame are reversed likewise:
 //!   x = W − 1 − u, y = H − 1 − v.
-//! - The frame of the array has its origin at lattice position (0, 0), not at the array's centre,
-//!   and the sensor's frame has its origin at its own pixel (0, 0); poses take array or sensor into
-//!   the camera.
+//! - The origin of the array's frame is the lattice position (0, 0), not the centre of the array.
+//!   The origin of the sensor's frame is its own pixel (0, 0). Poses transform from array or sensor
+//!   to the camera.
 //! - On a hexagonal mesh the rows of even index are shifted, both of the array (l') and of the
 //!   micro-images (l), so only arrays with an even number of rows can be written.
-//! - A pose (R, t) has its origin at t in the parent's frame, and R takes the parent's axes into its
-//!   own: a point p of the parent is at R (p − t). The poses of frames are those of the camera in
-//!   the world, the board lying at z = 0. (Read the other way round, the published R12-A camera
-//!   misses its own micro-image centres by 0.88 px instead of 0.29 px RMS, and the published poses
-//!   are far from those that fit the features.)
+//! - A pose (R, t) has its origin at t in the parent's frame, and R rotates from the parent's axes
+//!   to its own: a point p of the parent is at R (p − t). The pose of a frame is the pose of the
+//!   camera in the world, with the board at z = 0. (With the opposite convention, the published
+//!   R12-A camera misses its own micro-image centres by 0.88 px instead of 0.29 px RMS, and the
+//!   published poses are far from those that fit the features.)
 //! - The blur radius seems to be computed with the distance d at node (0, 0) for all micro-lenses:
 //!   with the published R12-A camera the residuals of ρ vanish there and grow linearly across the
 //!   tilted array, to 0.4 px at its centre. plenocal uses the distance of each micro-lens.
@@ -40,7 +40,7 @@ use json::{matrix, number, vector};
 
 pub(super) use linked::{is_linked_observations, linked_observations};
 
-/// The datasheet values of a `camera.js`.
+/// Returns the datasheet values of a `camera.js`.
 pub(super) fn datasheet_from(value: Value) -> Result<Datasheet> {
     let file: CameraFile = document_of(value, "camera.js, intrinsics.js or camera.json")?;
     Ok(Datasheet {
@@ -68,7 +68,7 @@ pub(super) fn datasheet_from(value: Value) -> Result<Datasheet> {
     })
 }
 
-/// The internal parameters of a `params.js`.
+/// Returns the internal parameters of a `params.js`.
 pub(super) fn internal_parameters_from(
     value: Value,
     pixel_size_mm: Option<f64>,
@@ -93,7 +93,7 @@ pub(super) fn internal_parameters_from(
         )));
     }
     Ok(InternalParameters {
-        // Negative by the paper's sign of radii in the Galilean configuration.
+        // In the Galilean configuration, m is negative by the paper's sign of radii.
         m_mm: file.m.0.abs(),
         q_prime_mm: file.q_prime.iter().map(|q| q.0).collect(),
         micro_image_pitch_mm: file.dc.map(|dc| dc.0),
@@ -108,7 +108,7 @@ pub(super) fn internal_parameters_from(
     })
 }
 
-/// The board of a `scene.js`; an error unless there is exactly one.
+/// Returns the board of a `scene.js`; an error unless there is exactly one.
 pub(super) fn board_from(value: Value) -> Result<Board> {
     let file: SceneFile = document_of(value, "scene.js")?;
     let [board] = file.checkerboards.as_slice() else {
@@ -124,19 +124,18 @@ pub(super) fn board_from(value: Value) -> Result<Board> {
     })
 }
 
-/// Which rows of the array are shifted in plenocal's indices: even l' is shifted, and
-/// l' = rows − 1 − l.
+/// Returns the parity of the shifted rows of the array in plenocal's indices: even l' is shifted, and l' = rows − 1 − l.
 fn shifted_parity(kind: LatticeKind, columns: i32, rows: i32) -> Parity {
     let across = match kind {
         LatticeKind::HexagonalRows => rows,
         LatticeKind::HexagonalColumns => columns,
         LatticeKind::Orthogonal => return Parity::Even,
     };
-    // Seen along −x, a shift of even l' by +½ is a shift of odd l' by +½ and of all by −½.
+    // In the direction −x, a shift of even l' by +½ is a shift of odd l' by +½ and of all by −½.
     if across % 2 == 0 { Parity::Even } else { Parity::Odd }
 }
 
-/// Position of COMPOTE's node (k', l') in its mesh, in pitches.
+/// Returns the position of COMPOTE's node (k', l') in its mesh, in pitches.
 fn mesh_node(kind: LatticeKind, k: i32, l: i32) -> Vector2<f64> {
     let (k, l) = (f64::from(k), f64::from(l));
     let shift = |index: f64| if index % 2.0 == 0.0 { 0.5 } else { 0.0 };
@@ -147,16 +146,15 @@ fn mesh_node(kind: LatticeKind, k: i32, l: i32) -> Vector2<f64> {
     }
 }
 
-/// From the origin of COMPOTE's mesh to the centre of plenocal's array, mm in the array's axes.
+/// Returns the vector from the origin of COMPOTE's mesh to the centre of plenocal's array, mm in the array's axes.
 fn mesh_to_center(lattice: &Lattice, pitch_mm: f64, ratio: f64) -> Vector3<f64> {
-    // Node (0, 0) of the mesh is the last of the lattice; positions in the two run in opposite
-    // directions.
+    // Node (0, 0) of the mesh is the last node of the lattice, and positions in the two run in opposite directions.
     let center =
         mesh_node(lattice.kind(), 0, 0) + lattice.node(lattice.columns - 1, lattice.rows - 1);
     Vector3::new(center.x * pitch_mm, center.y * pitch_mm * ratio, 0.0)
 }
 
-/// The camera of an `intrinsics.js`.
+/// Returns the camera of an `intrinsics.js`.
 pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
     let file: IntrinsicsFile = document_of(value, "intrinsics.js")?;
     let sensor = file.sensor.sensor.sensor()?;
@@ -218,7 +216,7 @@ fn last_pixel(sensor: &Sensor) -> Vector2<f64> {
     2.0 * sensor.center_px()
 }
 
-/// The poses of a `poses.js`.
+/// Returns the poses of a `poses.js`.
 pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
     let file: PosesFile = document_of(value, "poses.js or poses.json")?;
     file.poses
@@ -231,15 +229,14 @@ pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
         .collect()
 }
 
-/// A pose from the rotation that takes its own axes into the parent's, and its origin in the parent
-/// frame.
+/// Writes a pose, from the rotation that transforms from its own axes to the parent's, and its origin in the parent frame.
 fn pose<const N: usize>(parent_from_own: &SMatrix<f64, N, N>, origin: &[f64]) -> Value {
     json!({ "rotation": matrix(&parent_from_own.transpose()), "translation": vector(origin) })
 }
 
-/// The content of an `intrinsics.js`. `grid` is the micro-image array it was calibrated from.
+/// Returns the content of an `intrinsics.js`. `grid` is the micro-image array of the calibration.
 ///
-/// An error if COMPOTE's mesh cannot represent the array, or the setting of the lens is not known.
+/// An error if COMPOTE's mesh cannot represent the array, or if the setting of the lens is not known.
 pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> Result<Value> {
     let (lens, mla, lattice) = (&camera.main_lens, &camera.mla, &camera.lattice);
     let (sensor, columns, rows) = (&camera.sensor, lattice.columns, lattice.rows);
@@ -293,7 +290,7 @@ pub fn intrinsics_document(camera: &PlenopticCamera, grid: &MicroImageArray) -> 
     }))
 }
 
-/// COMPOTE's number for a configuration.
+/// Returns COMPOTE's number for a configuration.
 fn mode(configuration: Configuration) -> &'static str {
     match configuration {
         Configuration::Unfocused => "0",
@@ -317,7 +314,7 @@ fn mesh(lattice: &Lattice, pitch: [f64; 2], pose: &Value) -> Value {
     })
 }
 
-/// The mesh of the micro-images, its origin at micro-image (0, 0).
+/// Returns the mesh of the micro-images, with its origin at micro-image (0, 0).
 fn mia_mesh(grid: &MicroImageArray) -> Value {
     let lattice = &grid.lattice;
     let first = mesh_node(lattice.kind(), 0, 0) - lattice.node(0, 0);
@@ -327,7 +324,7 @@ fn mia_mesh(grid: &MicroImageArray) -> Value {
     mesh(lattice, [grid.pitch_px, grid.pitch_px], &pose(&turn, origin.as_slice()))
 }
 
-/// The content of a `camera.js`: the datasheet with the micro-images that were found.
+/// Returns the content of a `camera.js`: the datasheet and the measured micro-image array.
 #[must_use]
 pub fn camera_document(sheet: &Datasheet, grid: &MicroImageArray, lens_types: usize) -> Value {
     json!({
@@ -344,8 +341,8 @@ pub fn camera_document(sheet: &Datasheet, grid: &MicroImageArray, lens_types: us
     })
 }
 
-/// The content of a `params.js`. Radii and with them m and q are negative in the Galilean
-/// configuration; λ = D/(D + d) is that of the initial camera.
+/// Returns the content of a `params.js`. In the Galilean configuration radii, m and q are negative. λ = D/(D + d) is computed
+/// from the initial camera.
 #[must_use]
 pub fn parameters_document(internal: &InternalParameters, sheet: &Datasheet) -> Value {
     let pitch = internal.micro_image_pitch_mm.unwrap_or(0.0);
@@ -372,7 +369,7 @@ pub fn parameters_document(internal: &InternalParameters, sheet: &Datasheet) -> 
     })
 }
 
-/// The content of a `poses.js`.
+/// Returns the content of a `poses.js`.
 #[must_use]
 pub fn poses_document(poses: &[FramePose]) -> Value {
     let frame = |p: &FramePose| {

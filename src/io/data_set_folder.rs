@@ -1,4 +1,4 @@
-//! A simulated data set as a folder: images, project file, truth, and observations drawn from it.
+//! Simulated data set as a folder: images, project file, truth, and simulated observations.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -22,8 +22,8 @@ use crate::simulation::{
 /// Simulates a data set and stages it:
 ///
 /// - `whites/`, `devignetting.png`, `calibration/`, `evaluation/`, `translation/`: the images, PNG or JPEG;
-/// - `project.toml`: what a user would write about them; `simulation.toml`: the settings;
-/// - `truth/`: camera, what a real main lens comes to, internal parameters, the shape of the board, centres with
+/// - `project.toml`: the project file that a user would write for them; `simulation.toml`: the settings;
+/// - `truth/`: camera, paraxial data of a real main lens, internal parameters, the shape of the board, centres with
 ///   lens types, and for every subset poses and features with the fraction of their light that is `visible`;
 /// - `observed/`, if there are calibration boards: the observations with noise, and a project file
 ///   of its own for `calibrate`.
@@ -47,7 +47,7 @@ pub fn stage_data_set(
     Ok(simulated)
 }
 
-/// The file of an image in the folder of its data set.
+/// Returns the file name of an image in the folder of its data set.
 #[must_use]
 pub fn image_name(content: Content, shot: &Shot) -> String {
     let name = match content {
@@ -61,13 +61,13 @@ pub fn image_name(content: Content, shot: &Shot) -> String {
     format!("{name}.{extension}")
 }
 
-/// Whether a folder has a data set in it, which may have been edited.
+/// Returns true if a folder contains a data set, which a user may have edited.
 #[must_use]
 pub fn is_data_set(folder: &Path) -> bool {
     ["project.toml", "simulation.toml"].iter().any(|name| folder.join(name).exists())
 }
 
-/// Folders of a data set, and what the names of their images begin with.
+/// Folders of a data set, with the prefixes of the names of their images.
 const IMAGE_FOLDERS: [(&str, &str); 4] = [
     ("whites", "white-"),
     ("calibration", "calibration-"),
@@ -75,8 +75,8 @@ const IMAGE_FOLDERS: [(&str, &str); 4] = [
     ("translation", "translation-"),
 ];
 
-/// Removes what an earlier data set in the folder had and the one that was written does not: images of boards beyond the
-/// last would be taken for its own. Files of other names stay.
+/// Removes files of an earlier data set in the folder that are not among the `written` files: images of further boards would be
+/// taken for images of the new one. Files with other names stay.
 pub fn remove_older_data(folder: &Path, written: &[PathBuf]) {
     let is_image = |path: &Path| path.extension().is_some_and(|e| e == "png" || e == "jpg");
     let mut older: Vec<PathBuf> = Vec::new();
@@ -99,7 +99,7 @@ pub fn remove_older_data(folder: &Path, written: &[PathBuf]) {
     }
     let folders = IMAGE_FOLDERS.map(|(name, _)| folder.join(name));
     for empty in folders.into_iter().chain(subsets).chain([folder.join("observed")]) {
-        // One that is not empty stays.
+        // A folder that is not empty stays.
         let _ = fs::remove_dir(empty);
     }
 }
@@ -155,7 +155,7 @@ fn stage_observed(
     output.stage("observed/project.toml", |out| out.write_all(project.as_bytes()))
 }
 
-/// The name of a choice as written in files, quoted.
+/// Returns the name of a choice as written in files, quoted.
 pub(super) fn name_of(choice: &impl Serialize) -> String {
     toml::Value::try_from(choice).map_or_else(|_| String::new(), |name| name.to_string())
 }
@@ -183,7 +183,7 @@ fn internal_text(internal: &InternalParameters) -> Result<String> {
         .map_err(|e| Error::invalid(format!("the internal parameters cannot be written: {e}")))
 }
 
-/// How far the board is from flat and exact.
+/// Formats the deviation of the board from a flat and exact one.
 fn shape_text(target: &Target) -> String {
     format!(
         "# The shape of the board; see [target] in docs/simulation.md.\nsag_mm = {:?}\ntwist_mm = {:?}\n\
@@ -192,7 +192,7 @@ fn shape_text(target: &Target) -> String {
     )
 }
 
-/// The tables of a project file that a datasheet gives.
+/// Formats the tables of a project file that describe a datasheet.
 fn camera_text(settings: &Settings) -> String {
     let (sheet, board) = (settings.datasheet(), settings.target.board());
     let configuration = name_of(&sheet.configuration);

@@ -1,4 +1,4 @@
-//! `detection.json`: what was found in each frame, and what was dropped and why.
+//! `detection.json`: features found in each frame, and what was dropped and why.
 
 use serde_json::{Value, json};
 
@@ -7,7 +7,7 @@ use crate::model::Board;
 
 const FORMAT: &str = "plenocal-detection";
 
-/// The content of `detection.json`.
+/// Returns the content of `detection.json`.
 #[must_use]
 pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
     let edges = |edges: &Edges| {

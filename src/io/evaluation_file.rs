@@ -1,4 +1,4 @@
-//! `evaluation.json`: what an evaluation found.
+//! `evaluation.json`: results of an evaluation.
 
 use serde::Serialize;
 
@@ -30,7 +30,7 @@ struct CameraEntry<'a> {
     truth: Option<&'a [ParameterError]>,
 }
 
-/// Boards that took no part in the calibration.
+/// Errors on boards that were not used in the calibration.
 #[derive(Serialize)]
 struct BoardsEntry {
     #[serde(flatten)]
@@ -49,7 +49,7 @@ struct ReconstructionEntry {
     along_mm: f64,
 }
 
-/// A board moved in known steps.
+/// Errors on a board moved in known steps.
 #[derive(Serialize)]
 struct SeriesEntry<'a> {
     whole_way: Displacement,
@@ -80,7 +80,7 @@ struct FoldEntry<'a> {
     rmse: Rmse,
 }
 
-/// The content of `evaluation.json`: values in px, mm, rad; relative errors as fractions.
+/// Returns the content of `evaluation.json`: values in px, mm, rad; relative errors as fractions.
 #[must_use]
 pub fn evaluation_document(evaluation: &Evaluation) -> impl Serialize {
     let poses = evaluation.poses.iter();

@@ -1,4 +1,4 @@
-//! A first look at the image files of a project, before anything is computed with them.
+//! Checks of the image files of a project, before any computation.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -13,12 +13,12 @@ use super::{ImagesSection, open};
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
 
-/// What a JPEG file begins with.
+/// First bytes of a JPEG file.
 const JPEG: [u8; 2] = [0xff, 0xd8];
 
-/// Looks at all image files that a project lists. What is doubtful comes back, with its remedy.
+/// Checks all image files that a project lists, and returns findings with their remedies.
 ///
-/// An error if a file does not exist, or if two white images of different f-numbers are one and the same.
+/// An error if a file does not exist, or if two white images of different f-numbers are identical.
 pub fn first_look(images: &ImagesSection) -> Result<Vec<Finding>> {
     for path in images.files() {
         open(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
@@ -35,18 +35,18 @@ pub fn first_look(images: &ImagesSection) -> Result<Vec<Finding>> {
     Ok(doubtful_files(images))
 }
 
-/// What is doubtful about the files themselves: compression with loss, and what [`image_findings`] tells.
+/// Returns findings about the files themselves: compression with loss, and the findings of [`image_findings`].
 #[must_use]
 pub fn doubtful_files(images: &ImagesSection) -> Vec<Finding> {
     let files: Vec<&Path> = images.files().collect();
     compressed(images).into_iter().chain(image_findings(&files)).collect()
 }
 
-/// For each image, the name of one with the same content among those `before` it or earlier in the list. A frame that
-/// counts twice makes σ too small, and one that was calibrated with evaluates nothing.
+/// Returns for each image the name of an identical one among `before` or earlier in the list. A frame that is used twice makes
+/// σ too small, and a calibrated frame is no evaluation.
 #[must_use]
 pub fn repeated<P: AsRef<Path> + Sync>(before: &[P], images: &[P]) -> Vec<Option<String>> {
-    // One that cannot be read is reported when its turn comes.
+    // A file that cannot be read is reported when it is used.
     let hash = |path: &P| hash_file(path.as_ref()).ok();
     let all: Vec<&P> = before.iter().chain(images).collect();
     let hashes: Vec<Option<String>> = all.par_iter().map(|path| hash(path)).collect();
@@ -65,7 +65,7 @@ pub fn repeated<P: AsRef<Path> + Sync>(before: &[P], images: &[P]) -> Vec<Option
     found.split_off(before.len())
 }
 
-/// JPEG files: their blocks of 8 px move edges and change the profile of micro-images.
+/// Returns a finding if there are JPEG files: their blocks of 8 px move edges and change the profile of micro-images.
 fn compressed(images: &ImagesSection) -> Option<Finding> {
     let jpegs: Vec<&Path> = images.files().filter(|path| is_jpeg(path)).collect();
     let first = name(jpegs.first()?);
@@ -89,7 +89,7 @@ mod tests {
     use super::*;
     use crate::image::Color;
 
-    /// Files of these contents.
+    /// Writes files with these contents.
     fn files(contents: &[&[u8]]) -> (tempfile::TempDir, Vec<PathBuf>) {
         let folder = tempfile::tempdir().unwrap();
         let write = |(i, content): (usize, &&[u8])| {

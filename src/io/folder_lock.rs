@@ -1,4 +1,4 @@
-//! A folder that one process at a time works in.
+//! Lock on a folder for one process at a time.
 
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -6,19 +6,18 @@ use std::path::{Path, PathBuf};
 use super::output::{make_folder, remove_empty, remove_left_overs};
 use crate::error::{Error, Result};
 
-/// Holds a folder until it is dropped. The system lets go of it when the process ends, however it ends, so no file is
-/// left that would say otherwise.
+/// Lock on a folder until it is dropped. The system releases it when the process ends in any way, so that no lock file remains.
 #[derive(Debug)]
 pub struct FolderLock {
-    /// The folder itself, open; `None` where the file system has no locks.
+    /// The open folder itself; `None` if the file system has no locks.
     _locked: Option<File>,
-    /// Folders that were not there before; they go again if nothing was written.
+    /// Folders that did not exist before; they are removed if nothing was written.
     created: Vec<PathBuf>,
 }
 
 impl FolderLock {
-    /// Makes the folder if necessary, and holds it; an error if another process does. Temporary files of a process that was
-    /// killed are removed.
+    /// Creates the folder if necessary, and locks it; an error if another process holds the lock. Temporary files of a killed
+    /// process are removed.
     pub fn hold(folder: &Path) -> Result<Self> {
         let write_error = |source| Error::Write { path: folder.to_owned(), source };
         let created = make_folder(folder).map_err(write_error)?;
@@ -33,7 +32,7 @@ impl FolderLock {
             }
             Err(TryLockError::Error(_)) => None,
         };
-        // Without a lock, another process may still need its own.
+        // Without a lock, another process may still use its temporary files.
         if locked.is_some() {
             remove_left_overs(folder);
         }

@@ -1,4 +1,4 @@
-//! A folder of images, sorted into the lists of a project by the names of its folders and files.
+//! Folder of images, sorted into the lists of a project by the names of its folders and files.
 
 use std::cmp::Ordering;
 use std::collections::HashSet;
@@ -10,10 +10,10 @@ use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::optics;
 
-/// An f-number in a file name.
+/// F-number in a file name.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum NamedFNumber {
-    /// One that is engraved on lenses, such as 5.6, which stands for 5.657.
+    /// F-number as engraved on lenses, such as 5.6, which stands for 5.657.
     Stop(f64),
     /// Any other number, taken as written.
     FNumber(f64),
@@ -24,15 +24,14 @@ impl NamedFNumber {
         if ENGRAVED.contains(&number) { Self::Stop(number) } else { Self::FNumber(number) }
     }
 
-    /// The number in the name.
+    /// Returns the number in the name.
     fn number(self) -> f64 {
         match self {
             Self::Stop(number) | Self::FNumber(number) => number,
         }
     }
 
-    /// Whether lenses have such a stop: a number that looks like an f-number may also be that of an
-    /// image.
+    /// Returns true if lenses have such a stop. Any other number in a name may be the number of an image.
     fn is_stop(self) -> bool {
         let number = self.number();
         ENGRAVED.contains(&number)
@@ -40,49 +39,49 @@ impl NamedFNumber {
     }
 }
 
-/// The images of a folder, each list in natural order (2 before 10).
+/// Images of a folder, each list in natural order (2 before 10).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SortedImages {
-    /// White images, with the f-number where a name has one.
+    /// White images, with the f-number if a name states one.
     pub whites: Vec<(PathBuf, Option<NamedFNumber>)>,
-    /// White images in the light of the boards; a project takes one.
+    /// White images in the light of the boards; a project uses one.
     pub devignetting: Vec<PathBuf>,
-    /// Boards to calibrate with.
+    /// Boards of the calibration.
     pub calibration: Vec<PathBuf>,
-    /// Boards to evaluate with.
+    /// Boards of the evaluation.
     pub evaluation: Vec<PathBuf>,
-    /// A board moved along the optical axis.
+    /// Images of a board moved along the optical axis.
     pub translation: Vec<PathBuf>,
-    /// Images whose names do not say what they show, or contradict themselves.
+    /// Images whose names do not indicate their content, or are contradictory.
     pub unsorted: Vec<PathBuf>,
-    /// What has the name of an image and cannot be used, and why.
+    /// Files with the name of an image that cannot be used, and the reason.
     pub skipped: Vec<(PathBuf, &'static str)>,
 }
 
-/// What all sorted images have in common.
+/// Format shared by all sorted images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CommonFormat {
     /// Width, px.
     pub width_px: u32,
     /// Height, px.
     pub height_px: u32,
-    /// RGB if all files have three channels, grey if all have one; what a single channel stands for
-    /// (grey, a colour mosaic) is not in the files. `None` if they differ.
+    /// RGB if all files have three channels, grey if all have one. Files do not state whether a single channel is grey or a
+    /// colour mosaic. `None` if they differ.
     pub channels: Option<Color>,
 }
 
 const ENDINGS: [&str; 9] = ["png", "tif", "tiff", "bmp", "pgm", "ppm", "pnm", "jpg", "jpeg"];
-/// Full stops and thirds of stops, as engraved on lenses.
+/// F-numbers of full stops and thirds of stops, as engraved on lenses.
 #[rustfmt::skip]
 const ENGRAVED: [f64; 35] = [
     0.95, 1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.2, 2.5, 2.8, 3.2, 3.5, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1,
     8.0, 9.0, 10.0, 11.0, 13.0, 14.0, 16.0, 18.0, 20.0, 22.0, 25.0, 29.0, 32.0, 36.0, 40.0, 45.0,
 ];
-/// Names round f-numbers to two digits.
+/// Relative rounding of f-numbers of two digits in names.
 const ROUNDED: f64 = 2e-3;
-/// No f-number is larger.
+/// Largest f-number.
 const LARGEST: f64 = 128.0;
-/// The largest number of files that a message names.
+/// Largest number of files that a message names.
 const NAMED: usize = 8;
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -94,11 +93,10 @@ enum Kind {
     Translation,
 }
 
-/// Finds PNG, TIFF, BMP, PGM/PPM and JPEG files in a folder and its subfolders, and sorts them by
-/// their paths in the folder. Hidden files are skipped, and so are links that lead nowhere, pipes, and names that a project
-/// file cannot hold; these are listed.
+/// Finds PNG, TIFF, BMP, PGM/PPM and JPEG files in a folder and its subfolders, and sorts them by their paths in the folder.
+/// Hidden files are skipped. Broken links, pipes, and names that a project file cannot contain are skipped and listed.
 ///
-/// An error if there are none.
+/// An error if there are no images.
 pub fn sort_images(folder: &Path) -> Result<SortedImages> {
     let mut found = Vec::new();
     images_in(folder, &mut HashSet::new(), &mut found)?;
@@ -123,7 +121,7 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
         let name = below(&path);
         let name = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem).to_lowercase();
         let f_number = named_f_number(&name);
-        // If the name says nothing else, an f-number indicates a white image.
+        // If the name states nothing else, an f-number indicates a white image.
         let only_stop = || f_number.filter(|n| n.is_stop()).map(|_| Kind::White);
         match kind(&name) {
             Ok(found) => match found.or_else(only_stop) {
@@ -140,7 +138,7 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
     Ok(sorted)
 }
 
-/// Why a file that was found in a folder cannot be used in a project.
+/// Returns the reason why a file in a folder cannot be used in a project.
 fn unusable(path: &Path, folder: &Path) -> Option<&'static str> {
     let Ok(metadata) = fs::metadata(path) else { return Some("the link leads nowhere") };
     if !metadata.is_file() {
@@ -152,7 +150,7 @@ fn unusable(path: &Path, folder: &Path) -> Option<&'static str> {
 
 fn images_in(folder: &Path, seen: &mut HashSet<PathBuf>, images: &mut Vec<PathBuf>) -> Result<()> {
     let unreadable = |source| Error::Read { path: folder.to_owned(), source };
-    // Links may lead back.
+    // Links may form a cycle.
     if !seen.insert(fs::canonicalize(folder).map_err(unreadable)?) {
         return Ok(());
     }
@@ -172,7 +170,7 @@ fn images_in(folder: &Path, seen: &mut HashSet<PathBuf>, images: &mut Vec<PathBu
     Ok(())
 }
 
-/// Compares runs of digits by value, and all else by letters without regard to case.
+/// Compares runs of digits by value, and other characters without regard to case.
 fn natural_order(a: &str, b: &str) -> Ordering {
     fn split(text: &str) -> (&str, &str) {
         let digits = text.starts_with(|c: char| c.is_ascii_digit());
@@ -199,7 +197,7 @@ fn natural_order(a: &str, b: &str) -> Ordering {
 
 struct Contradiction;
 
-/// What a lower-case name says about an image. Words of the file take precedence over words of its
+/// Returns the content of an image according to its lower-case name. Words of the file take precedence over words of its
 /// folders, and words for one subset over words for any board.
 fn kind(name: &str) -> std::result::Result<Option<Kind>, Contradiction> {
     let of_parts = |of_part: fn(&str) -> Option<Kind>| name.rsplit('/').filter_map(of_part);
@@ -236,8 +234,8 @@ fn unclear_kind(part: &str) -> Option<Kind> {
     words(part).any(board).then_some(Kind::Calibration)
 }
 
-/// The f-number in a lower-case name: of the file, or else of the innermost folder that has one.
-/// `None` if a name has two different ones.
+/// Returns the f-number in a lower-case name: of the file, otherwise of the innermost folder that has one. `None` if a name has
+/// two different ones.
 fn named_f_number(name: &str) -> Option<NamedFNumber> {
     let numbers = name.rsplit('/').map(f_numbers).find(|numbers| !numbers.is_empty())?;
     let first = *numbers.first()?;
@@ -245,7 +243,7 @@ fn named_f_number(name: &str) -> Option<NamedFNumber> {
     same.then(|| NamedFNumber::of(first))
 }
 
-/// Numbers after an f or n that stands alone: f4.0, f_5.6, n-11.31, N8.
+/// Returns the numbers after a separate letter f or n: f4.0, f_5.6, n-11.31, N8.
 fn f_numbers(part: &str) -> Vec<f64> {
     let mut found = Vec::new();
     for (at, letter) in part.char_indices() {
@@ -257,7 +255,7 @@ fn f_numbers(part: &str) -> Vec<f64> {
         let rest = rest.strip_prefix(['-', '_', '=', ' ']).unwrap_or(rest);
         let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
         let digits = rest[..end].trim_end_matches('.');
-        // 01 is the number of an image.
+        // A number such as 01 counts images.
         let counts = digits.len() > 1 && digits.starts_with('0') && !digits.starts_with("0.");
         let number = digits.parse::<f64>().ok().filter(|n| (0.5..=LARGEST).contains(n));
         if let (Some(number), false) = (number, counts) {
@@ -268,21 +266,21 @@ fn f_numbers(part: &str) -> Vec<f64> {
 }
 
 impl SortedImages {
-    /// All sorted images.
+    /// Returns all sorted images.
     pub fn sorted(&self) -> impl Iterator<Item = &Path> {
         let whites = self.whites.iter().map(|(path, _)| path);
         let boards = self.calibration.iter().chain(&self.evaluation).chain(&self.translation);
         whites.chain(&self.devignetting).chain(boards).map(PathBuf::as_path)
     }
 
-    /// Size and channels of the sorted images; `None` if there are none. An error names those that
-    /// differ in size from most.
+    /// Returns size and channels of the sorted images; `None` if there are none. An error names the images that differ in size
+    /// from most.
     pub fn common_format(&self) -> Result<Option<CommonFormat>> {
         let formats = self.sorted().map(|path| Ok((path, format_of(path)?)));
         let formats = formats.collect::<Result<Vec<(&Path, (u32, u32, Color))>>>()?;
         let size = |&(_, (width, height, _)): &(&Path, (u32, u32, Color))| (width, height);
         let alike = |this| formats.iter().filter(|format| size(format) == this).count();
-        // Of two equally frequent sizes, the first.
+        // If two sizes are equally frequent, the first one is used.
         let Some((width_px, height_px)) =
             formats.iter().rev().map(size).max_by_key(|&this| alike(this))
         else {

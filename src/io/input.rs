@@ -1,5 +1,5 @@
-//! Reads a camera, internal parameters, a board or poses from any kind of file that contains them.
-//! Kinds are recognised by content.
+//! Readers of a camera, internal parameters, a board or poses from any kind of file that contains them. Kinds are recognised by
+//! content.
 
 use std::path::Path;
 
@@ -13,16 +13,16 @@ use super::{
 use crate::error::{Error, Result};
 use crate::model::{Board, Datasheet, FramePose, InternalParameters, PlenopticCamera};
 
-/// What a camera file contains.
+/// Content of a camera file.
 #[derive(Debug, Clone, PartialEq)]
 pub enum CameraSource {
-    /// The datasheet values of a camera to be calibrated.
+    /// Datasheet values of a camera that is not calibrated yet.
     Datasheet(Datasheet),
-    /// A calibrated camera.
+    /// Calibrated camera.
     Camera(Box<PlenopticCamera>),
 }
 
-/// The parsed content of a file.
+/// Parsed content of a file.
 enum Document {
     Project(Box<Project>),
     Json(Value),
@@ -41,7 +41,7 @@ fn read_document(path: &Path) -> Result<Document> {
             format!("there is nothing in it but {value}: give a file with all its fields");
         return Err(Error::content(path, message));
     }
-    // A table of a project file begins with a bracket too, and a name.
+    // A table of a project file also begins with a bracket, but a name follows.
     let inside = text.trim_start().trim_start_matches(['[', ' ']);
     let is_table = text.trim_start().starts_with('[') && inside.starts_with(char::is_alphabetic);
     if text.trim_start().starts_with(['{', '[']) && !is_table {
@@ -54,7 +54,7 @@ fn is_format(value: &Value, format: &str) -> bool {
     value.get("format").and_then(Value::as_str) == Some(format)
 }
 
-/// What a JSON document seems to be, by its `format` or by a field that only this file of COMPOTE has.
+/// Returns the kind of a JSON document, by its `format` or by a field that only one of COMPOTE's files has.
 fn kind_of(value: &Value) -> Option<String> {
     const FIELDS: [(&str, &str); 5] = [
         ("poses", "poses.js of COMPOTE"),
@@ -69,7 +69,7 @@ fn kind_of(value: &Value) -> Option<String> {
     named.or_else(|| of_field().map(|(_, file)| (*file).to_owned()))
 }
 
-/// The document, unless it is recognised as something else than one of the wanted files of COMPOTE.
+/// Returns the document, unless it is recognised as another file than the wanted ones of COMPOTE.
 fn wanted(value: Value, files: &[&str]) -> Result<Value> {
     match kind_of(&value) {
         Some(kind) if !files.iter().any(|file| kind.starts_with(file)) => {
@@ -114,8 +114,8 @@ pub fn read_camera_source(path: &Path) -> Result<CameraSource> {
     source.map_err(|e| e.in_file(path))
 }
 
-/// Reads internal parameters: `precalibration.json`, COMPOTE's `params.js` or a project file. The
-/// pixel size, mm, is checked against the one they were measured with, where that is stated.
+/// Reads internal parameters: `precalibration.json`, COMPOTE's `params.js` or a project file. An error if they were measured
+/// with another pixel size, mm, than the given one.
 pub fn read_internal_parameters(
     path: &Path,
     pixel_size_mm: Option<f64>,
@@ -133,8 +133,8 @@ pub fn read_internal_parameters(
     internal.map_err(|e| e.in_file(path))
 }
 
-/// Reads the number of columns and rows of an array from `precalibration.json`; `None` where a file of internal parameters
-/// has none.
+/// Reads the number of columns and rows of an array from `precalibration.json`; `None` if a file of internal parameters does
+/// not state them.
 pub fn read_array_size(path: &Path) -> Result<Option<(i32, i32)>> {
     match read_document(path)? {
         Document::Json(value) if is_format(&value, PRECALIBRATION_FORMAT) => {

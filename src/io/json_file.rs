@@ -1,4 +1,4 @@
-//! JSON files: what every reader of them has in common.
+//! Common functions of the readers of JSON files.
 
 use std::fmt;
 use std::path::Path;
@@ -11,26 +11,26 @@ use super::read_text;
 use super::spelling::plain;
 use crate::error::{Error, Result};
 
-/// Reads a JSON file. A key that an object has twice is an error: which of the values was meant is not known.
+/// Reads a JSON file. A repeated key of an object is an error, since the intended value is not known.
 pub fn read_json(path: &Path) -> Result<Value> {
     json_from(&read_text(path)?).map_err(|e| e.in_file(path))
 }
 
-/// A JSON document; the byte order mark of some editors may precede it.
+/// Parses a JSON document; the byte order mark of some editors may precede it.
 pub(super) fn json_from(text: &str) -> Result<Value> {
     serde_json::from_str::<Document>(text.trim_start_matches('\u{feff}'))
         .map(|document| document.0)
         .map_err(|e| Error::invalid(format!("this is not valid JSON: {e}")))
 }
 
-/// A document of a format, or an error that names the field that is not as it should be.
+/// Parses a document of a format; an error names the wrong field.
 pub(super) fn document_of<T: DeserializeOwned>(value: Value, format: &str) -> Result<T> {
     serde_path_to_error::deserialize(value).map_err(|e| {
         Error::invalid(format!("not a valid {format} file: {}", plain(&e.to_string())))
     })
 }
 
-/// An error unless a document has a version from 1 to the newest one.
+/// Returns an error unless a document has a version from 1 to the newest one.
 pub(super) fn check_version(document: &Value, format: &str, newest: u64) -> Result<()> {
     let known = if newest == 1 { "version 1 is" } else { "versions up to {} are" };
     let known = known.replace("{}", &newest.to_string());
@@ -48,7 +48,7 @@ pub(super) fn check_version(document: &Value, format: &str, newest: u64) -> Resu
     }
 }
 
-/// A value without repeated keys.
+/// Value without repeated keys.
 struct Document(Value);
 
 impl<'de> Deserialize<'de> for Document {
@@ -135,7 +135,7 @@ mod tests {
         assert!(error.contains("'c' is given twice") && error.contains("line 2"), "{error}");
     }
 
-    /// Messages name the field, in every format.
+    /// Messages name the field in every format.
     #[test]
     fn a_field_of_another_kind_is_named() {
         let camera = |value: &str| {

@@ -1,4 +1,4 @@
-//! `manifest.json`: what a run was made from and what it has written.
+//! `manifest.json`: inputs and written files of a run.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -18,45 +18,45 @@ use crate::error::{Error, Result};
 /// Name of the file in the folder of a run.
 pub const MANIFEST: &str = "manifest.json";
 const FORMAT: &str = "plenocal-run";
-/// Files of version 2 and before have hashes of the results too.
+/// Files of version 2 and before also have hashes of the results.
 const VERSION: u64 = 3;
 
-/// What a run was made from and what it has written.
+/// Inputs and written files of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     format: String,
     version: u64,
     /// Version of plenocal.
     pub plenocal: String,
-    /// The project file.
+    /// Project file.
     pub project: PathBuf,
-    /// The arguments of the program, by which the run may differ from the project.
+    /// Arguments of the program, which may override the project.
     #[serde(default)]
     pub arguments: Vec<String>,
-    /// SHA-256 of every file that was read, by its path.
+    /// SHA-256 of every file that was read, by path.
     pub inputs: BTreeMap<PathBuf, String>,
-    /// The stages, in order.
+    /// Stages of the run, in order.
     pub stages: Vec<StageRecord>,
-    /// Size and time of change of the inputs when they were hashed.
+    /// Size and time of modification of the inputs when they were hashed.
     #[serde(skip)]
     seen: BTreeMap<PathBuf, Option<(u64, Option<SystemTime>)>>,
 }
 
-/// A stage of a run.
+/// Stage of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StageRecord {
     /// Name of the stage and of its folder.
     pub name: String,
     /// Wall time, s.
     pub time_s: f64,
-    /// Names of the files that it wrote.
+    /// Names of the written files.
     pub files: Vec<String>,
 }
 
-/// Bytes read at a time.
+/// Number of bytes read at once.
 const CHUNK: usize = 1 << 20;
 
-/// SHA-256 of a file, hexadecimal, as `sha256sum` prints it.
+/// Computes the SHA-256 of a file, hexadecimal, as `sha256sum` prints it.
 pub fn hash_file(path: &Path) -> Result<String> {
     let digest = || -> io::Result<String> {
         let mut hasher = Sha256::new();
@@ -88,8 +88,8 @@ fn look(path: &Path) -> Option<(u64, Option<SystemTime>)> {
 }
 
 impl Manifest {
-    /// The manifest of a run that has done nothing yet, with the hashes of its input files. A file that cannot be read has
-    /// an empty hash: it is reported when its turn comes.
+    /// Creates the manifest of a run that has not begun, with the hashes of its input files. The hash of a file that cannot be
+    /// read is empty; the error is reported when the file is used.
     #[must_use]
     pub fn of<'a>(
         project: &Path,
@@ -117,7 +117,7 @@ impl Manifest {
         }
     }
 
-    /// Input files that have changed since they were hashed: what was computed may be of either content.
+    /// Returns input files that have changed since they were hashed: results may be computed from either content.
     #[must_use]
     pub fn changed_inputs(&self) -> Vec<PathBuf> {
         let changed = self.seen.iter().filter(|(path, seen)| look(path) != **seen);
@@ -132,25 +132,25 @@ impl Manifest {
         (manifest.format == FORMAT && manifest.version == VERSION).then_some(manifest)
     }
 
-    /// Removes the files that the run of this manifest wrote into a folder and that are not among those `written` now, such as
-    /// pictures of frames that no longer exist.
+    /// Removes the files that the run of this manifest wrote into a folder, except the `written` ones, such as pictures of
+    /// frames that no longer exist.
     pub fn remove_stale(&self, folder: &Path, written: &[PathBuf]) {
         for StageRecord { name, files, .. } in &self.stages {
-            // A manifest is a file that anyone can change: what is removed has to lie in the folder.
+            // Anyone can edit a manifest, so only files in the folder may be removed.
             let inside = files.iter().filter(|file| is_plain(name) && is_plain(file));
             let paths = inside.map(|file| folder.join(name).join(file));
             for path in paths.filter(|path| !written.contains(path)) {
                 let _ = fs::remove_file(path);
             }
             if is_plain(name) {
-                // Only an empty folder goes.
+                // `remove_dir` removes only an empty folder.
                 let _ = fs::remove_dir(folder.join(name));
             }
         }
     }
 }
 
-/// Whether a name is the name of a file in a folder, and leads nowhere else.
+/// Returns true if a name is a plain file name, without a path.
 fn is_plain(name: &str) -> bool {
     Path::new(name).components().eq([Component::Normal(OsStr::new(name))])
 }

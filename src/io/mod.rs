@@ -1,5 +1,4 @@
-//! Files: plenocal's own and COMPOTE's. They are recognised by content, and written all together or not at
-//! all.
+//! Files of plenocal and COMPOTE. They are recognised by content, and written all together or not at all.
 
 mod board_shape_file;
 mod calibration_file;
@@ -89,14 +88,14 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// What a shell or a caller has opened already, whatever it is.
+/// Files that a shell or a caller has already opened; they may be of any kind.
 const OPENED: [&str; 3] = ["/dev/stdin", "/dev/fd", "/proc/self/fd"];
 
-/// Files that commands write or read in folders, which may be given in their place.
+/// Files that commands write or read in folders; messages suggest them if a folder is given.
 const IN_FOLDERS: [&str; 3] = ["project.toml", "camera.json", "calibration/camera.json"];
 
-/// Opens a file to read. An error if it is something else: nobody may ever write into a pipe of the file system, and
-/// devices have no end.
+/// Opens a file to read. An error if it is something else: a pipe of the file system may never receive data, and devices have
+/// no end.
 fn open(path: &Path) -> io::Result<File> {
     let kind = fs::metadata(path)?.file_type();
     if kind.is_file() || OPENED.iter().any(|opened| path.starts_with(opened)) {
@@ -125,7 +124,7 @@ pub fn read_text(path: &Path) -> Result<String> {
     String::from_utf8(read_bytes(path)?).map_err(|e| Error::content(path, not_utf8(e.as_bytes())))
 }
 
-/// What is wrong with a file that should be a text in UTF-8.
+/// Describes the error in a file that should be UTF-8 text.
 fn not_utf8(bytes: &[u8]) -> &'static str {
     const MARKS: [&[u8]; 2] = [b"\xff\xfe", b"\xfe\xff"];
     if MARKS.iter().any(|mark| bytes.starts_with(mark)) {

@@ -1,24 +1,24 @@
-//! `.npy`: arrays as NumPy reads and writes them, of the format's version 1.0
+//! `.npy`: arrays in the format of NumPy, version 1.0
 //! (<https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>).
 
 use std::io::{self, Write};
 
-/// What precedes the numbers of an array.
+/// Header that precedes the numbers of an array.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NpyHeader(String);
 
-/// The header is padded to a multiple of this.
+/// Alignment of the header, bytes.
 const ALIGNMENT: usize = 64;
 const MAGIC: &[u8] = b"\x93NUMPY\x01\x00";
 
 impl NpyHeader {
-    /// Of floating-point numbers of 64 or 32 bits, little-endian, row by row.
+    /// Creates the header for floating-point numbers of 64 or 32 bits, little-endian, row by row.
     #[must_use]
     pub fn floats(double: bool, shape: &[usize]) -> Self {
         Self::of(if double { "<f8" } else { "<f4" }, shape)
     }
 
-    /// Of whole numbers of 32 bits, likewise.
+    /// Creates the header for whole numbers of 32 bits, little-endian, row by row.
     #[must_use]
     pub fn integers(shape: &[usize]) -> Self {
         Self::of("<i4", shape)
@@ -30,13 +30,13 @@ impl NpyHeader {
             "{{'descr': '{kind}', 'fortran_order': False, 'shape': ({},), }}",
             sizes.join(", ")
         );
-        // With the two bytes of its length, and a line break at its end.
+        // The header includes the two bytes of its length and a final line break.
         let length = MAGIC.len() + 2 + text.len() + 1;
         let padding = " ".repeat(length.next_multiple_of(ALIGNMENT) - length);
         Self(format!("{text}{padding}\n"))
     }
 
-    /// Writes the header; the numbers follow.
+    /// Writes the header; the caller writes the numbers.
     pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         out.write_all(MAGIC)?;
         let length = u16::try_from(self.0.len()).map_err(io::Error::other)?;

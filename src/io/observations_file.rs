@@ -1,8 +1,8 @@
-//! Observations as CSV: `k,l,u,v` for micro-image centres and `k,l,u,v,rho,cluster,frame` for BAP features, u, v and ρ in
-//! px; the same columns as COMPOTE's. Standard deviations, px, may follow: `std_dev` of centres, `std_u`, `std_v` and
-//! `std_rho` of features. `blur`, `std_blur`, `shared_blur` and `aperture_ratio` of features are their
-//! [`BapFeature::blur`], and columns such as `du_pupil` and `dv_pupil` their [`BapFeature::sensitivities_px`]. Columns are found
-//! by their names in the first line; others are ignored. Gzip-compressed files are COMPOTE's binary form.
+//! Observations as CSV: `k,l,u,v` for micro-image centres and `k,l,u,v,rho,cluster,frame` for BAP features, u, v and ρ in px,
+//! as in COMPOTE's files. Standard deviations, px, may follow: `std_dev` of centres, `std_u`, `std_v` and `std_rho` of
+//! features. `blur`, `std_blur`, `shared_blur` and `aperture_ratio` of features are their [`BapFeature::blur`], and columns
+//! such as `du_pupil` and `dv_pupil` their [`BapFeature::sensitivities_px`]. Columns are found by their names in the first
+//! line; others are ignored. Gzip-compressed files are COMPOTE's binary form.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -81,7 +81,7 @@ fn feature(row: &Row) -> Result<BapFeature> {
     })
 }
 
-/// Reads the features of a problem with the places of their corners, mm, which have to be those of its board.
+/// Reads the features of a problem with the positions of their corners, mm, which have to agree with its board.
 pub(super) fn read_problem_features(path: &Path, board: &Board) -> Result<Vec<ProblemFeature>> {
     let bytes = read_bytes(path)?;
     let required = ["frame", "x", "y", "z", "k", "l", "u", "v", "cluster"];
@@ -104,11 +104,11 @@ pub(super) fn read_problem_features(path: &Path, board: &Board) -> Result<Vec<Pr
     })
 }
 
-/// Corners that differ by less than this part of a square are the same.
+/// Largest difference between equal corners, as a fraction of a square.
 const SAME_CORNER: f64 = 1e-6;
 
-/// Reads points that are seen at virtual depths: CSV with the columns k, l, u, v and nu, and, where known, std_u, std_v
-/// and std_nu, which are `std_dev` otherwise.
+/// Reads points at virtual depths: CSV with the columns k, l, u, v and nu and, if known, std_u, std_v and std_nu; `std_dev`
+/// replaces a missing σ.
 pub(super) fn read_virtual_rows(
     path: &Path,
     bytes: &[u8],
@@ -130,7 +130,7 @@ pub(super) fn read_virtual_rows(
     })
 }
 
-// Numbers have all their digits: what is calibrated from files is what a run calibrates from its values.
+// Numbers are written with all digits, so that a calibration from files is identical to one within a run.
 
 /// Writes micro-image centres as CSV, with their standard deviations if they have any.
 pub fn write_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::Result<()> {
@@ -142,7 +142,7 @@ pub fn write_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::R
     })
 }
 
-/// No σ is smaller, px or virtual depth: weights of its square would overflow.
+/// Least σ, px or virtual depth: the weight of a smaller one overflows.
 const LEAST_STD_DEV: f64 = 1e-9;
 
 /// Column of [`BapFeature::correlation`].
@@ -208,7 +208,7 @@ pub fn write_features(out: &mut dyn Write, features: &[BapFeature]) -> io::Resul
     })
 }
 
-/// A standard deviation; nothing where none was measured.
+/// Formats a standard deviation; an empty text if it was not measured.
 pub(super) fn std_dev_text(std_dev: Option<f64>) -> String {
     std_dev.map(|s| s.to_string()).unwrap_or_default()
 }
@@ -226,7 +226,7 @@ impl Row<'_> {
         Error::content(self.path, format!("line {}: {message}", self.line))
     }
 
-    /// The text in a column; `None` if there is no such column, or it is empty.
+    /// Returns the text in a column; `None` if there is no such column, or it is empty.
     fn text(&self, name: &str) -> Option<&str> {
         let (_, column) = self.columns.iter().find(|(column, _)| *column == name)?;
         self.record.get(*column).filter(|text| !text.is_empty())
@@ -250,12 +250,12 @@ impl Row<'_> {
         Err(self.error(&format!("{name} is {value}, not a finite number")))
     }
 
-    /// A number, or `None` where nothing was measured.
+    /// Reads a number; `None` if it was not measured.
     fn measured(&self, name: &str) -> Result<Option<f64>> {
         self.text(name).map(|_| self.number(name)).transpose()
     }
 
-    /// All sensitivities, or `None` where there are none.
+    /// Reads all sensitivities; `None` if there are none.
     fn sensitivities(&self) -> Result<Option<[[f64; 2]; TAKEN]>> {
         let mut sensitivities = [[0.0; 2]; TAKEN];
         let mut missing = 0;
@@ -278,7 +278,7 @@ impl Row<'_> {
         }
     }
 
-    /// The measured blur radius, or `None` where there is none.
+    /// Reads the measured blur radius; `None` if there is none.
     fn blur(&self) -> Result<Option<MeasuredBlur>> {
         let [blur, std_dev, shared, ratio] = BLUR;
         let std_dev = self.std_dev(std_dev)?;
@@ -297,7 +297,7 @@ impl Row<'_> {
         }
     }
 
-    /// The correlation of u and v; 0 where it was not measured.
+    /// Reads the correlation of u and v; 0 if it was not measured.
     fn correlation(&self) -> Result<f64> {
         match self.measured(CORRELATION)? {
             Some(value) if value.abs() >= 1.0 => Err(self.error(&format!(
@@ -321,7 +321,7 @@ impl Row<'_> {
     }
 }
 
-/// A column of another name that differs from that of a missing one by a letter or two: it would be ignored in silence.
+/// Returns a column whose name differs from a missing one by a letter or two: it would be ignored silently.
 fn misspelt(
     header: &StringRecord,
     columns: &[(&str, usize)],
@@ -334,8 +334,8 @@ fn misspelt(
     })
 }
 
-/// The line of an observation in its CSV file; the last one if it is given several times. `None` if the file is not CSV or
-/// has no such line.
+/// Returns the line of an observation in its CSV file; the last one if the observation is repeated. `None` if the file is not
+/// CSV or has no such line.
 #[must_use]
 pub fn line_of(path: &Path, observation: Observed) -> Option<u64> {
     let bytes = read_bytes(path).ok().filter(|bytes| !compote::is_linked_observations(bytes))?;
@@ -358,7 +358,7 @@ pub fn line_of(path: &Path, observation: Observed) -> Option<u64> {
     lines.ok()?.into_iter().flatten().last()
 }
 
-/// The name of a column: earlier files call the aperture ratio fill factor.
+/// Returns the current name of a column: earlier files call the aperture ratio fill factor.
 fn current_name(name: &str) -> &str {
     match name {
         "fill_factor" => "aperture_ratio",
@@ -368,7 +368,7 @@ fn current_name(name: &str) -> &str {
     }
 }
 
-/// What to do about a header whose names are not separated by commas; nothing if they are.
+/// Returns the remedy for a header whose names are not separated by commas; empty if they are.
 fn other_separator(header: &StringRecord) -> &'static str {
     let one = header.get(0).filter(|_| header.len() == 1).unwrap_or_default();
     if one.contains(';') {
@@ -380,7 +380,7 @@ fn other_separator(header: &StringRecord) -> &'static str {
     }
 }
 
-/// A line that is not as the first one, in words.
+/// Describes a line that differs in format from the first one.
 fn broken_row(error: &csv::Error) -> String {
     match error.kind() {
         csv::ErrorKind::UnequalLengths { pos, expected_len, len } => {

@@ -1,4 +1,4 @@
-//! A folder of results that appear all together or not at all.
+//! Folder of results that appear all together or not at all.
 
 use std::fs;
 use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
@@ -13,27 +13,27 @@ use tracing::{debug, info};
 
 use crate::error::{Error, Result};
 
-/// What temporary files are called, with letters between; nobody else calls a file so.
+/// Beginning and end of the names of temporary files; no other program uses such names.
 const TEMPORARY: [&str; 2] = [".plenocal-", ".tmp"];
 
-/// Collects files under temporary names in their folder; `commit` gives them their final names.
-/// Without a commit nothing is left behind, not even after [`abandon_output`].
+/// Collects files under temporary names in their folder; `commit` renames them to their final names. Without a commit no file
+/// remains, not even after [`abandon_output`].
 #[derive(Debug)]
 pub struct OutputFolder {
     folder: PathBuf,
     staged: Vec<(NamedTempFile, PathBuf)>,
-    /// Folders that were not there before.
+    /// Folders that did not exist before.
     created: Vec<PathBuf>,
 }
 
-/// A file of an [`OutputFolder`] that is being written. Dropped, it leaves nothing behind.
+/// File of an [`OutputFolder`] that is being written. If it is dropped, it is removed.
 #[derive(Debug)]
 pub struct StagedFile {
     file: io::BufWriter<Unnamed>,
     path: PathBuf,
 }
 
-/// A temporary file whose errors do not have its name, which would only mislead.
+/// Temporary file whose errors do not contain its misleading name.
 #[derive(Debug)]
 struct Unnamed(NamedTempFile);
 
@@ -54,7 +54,7 @@ impl Seek for Unnamed {
 }
 
 impl StagedFile {
-    /// An error of writing, with the name that the file is to get.
+    /// Creates an error of writing with the final name of the file.
     #[must_use]
     pub fn error(&self, source: io::Error) -> Error {
         Error::Write { path: self.path.clone(), source }
@@ -77,7 +77,7 @@ impl Seek for StagedFile {
     }
 }
 
-/// What all output folders of the process have on disk but not committed.
+/// Files and folders on disk that output folders of this process have not committed.
 struct Registry {
     files: Vec<PathBuf>,
     folders: Vec<PathBuf>,
@@ -87,16 +87,16 @@ struct Registry {
 static REGISTRY: Mutex<Registry> =
     Mutex::new(Registry { files: Vec::new(), folders: Vec::new(), committed: false });
 
-/// Locked wherever files or folders are created, removed or given their names.
+/// Locks the registry, as required wherever files or folders are created, removed or renamed.
 fn registry() -> MutexGuard<'static, Registry> {
     REGISTRY.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes everything that is staged but not committed, for a process that is about to end early.
-/// Returns whether anything was committed before.
+/// Removes everything that is staged but not committed, for a process that is about to end early. Returns true if anything was
+/// committed before.
 ///
-/// Waits for a commit in progress. From then on, any thread that stages, commits or drops an
-/// [`OutputFolder`] waits for the end of the process, so that nothing more is written.
+/// This function waits for a commit in progress. From then on, any thread that stages, commits or drops an [`OutputFolder`]
+/// waits for the end of the process, so that nothing more is written.
 #[must_use]
 pub fn abandon_output() -> bool {
     let registry = registry();
@@ -109,7 +109,7 @@ pub fn abandon_output() -> bool {
     committed
 }
 
-/// Enters the folders that have to be made for one into the registry, and returns them.
+/// Adds the missing folders on a path to the registry, and returns them.
 fn entered(registry: &mut Registry, folder: &Path) -> Vec<PathBuf> {
     let missing = folder.ancestors().take_while(|f| !f.as_os_str().is_empty() && !f.exists());
     let mut missing: Vec<PathBuf> = missing.map(Path::to_owned).collect();
@@ -118,8 +118,8 @@ fn entered(registry: &mut Registry, folder: &Path) -> Vec<PathBuf> {
     missing
 }
 
-/// Makes a folder, and those it lies in. Those that were not there are returned, and go again if the process is
-/// interrupted before anything is in them.
+/// Creates a folder and its parents, and returns those that did not exist. They are removed if the process is interrupted while
+/// they are empty.
 pub(super) fn make_folder(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let created = entered(&mut registry(), folder);
     fs::create_dir_all(folder)?;
@@ -134,8 +134,7 @@ pub(super) fn remove_empty(folders: &[PathBuf]) {
 }
 
 impl OutputFolder {
-    /// Creates nothing yet; an error if the path cannot become a folder, or nothing can be written
-    /// there.
+    /// Creates an empty collection without any file. An error if the path cannot become a folder, or if it is not writable.
     pub fn new(folder: &Path) -> Result<Self> {
         if folder.exists() && !folder.is_dir() {
             return Err(Error::content(folder, "is a file, but results go into a folder"));
@@ -151,13 +150,13 @@ impl OutputFolder {
             let gone = "the working folder no longer exists: change to another one";
             return Err(Error::Write { path: folder.to_owned(), source: io::Error::other(gone) });
         }
-        // Found now rather than after the work; the file has no name on most systems.
+        // This test reports an unwritable folder before the work; the file has no name on most systems.
         tempfile::tempfile_in(there)
             .map_err(|e| Error::Write { path: folder.to_owned(), source: plain(e) })?;
         Ok(Self { folder: folder.to_owned(), staged: Vec::new(), created: Vec::new() })
     }
 
-    /// Stages a file of the folder, written by a function, in place of one that was staged under this name.
+    /// Stages a file of the folder, written by a function; it replaces a staged file of the same name.
     pub fn stage(
         &mut self,
         name: impl AsRef<Path>,
@@ -168,7 +167,7 @@ impl OutputFolder {
         self.finish(file)
     }
 
-    /// Begins a file of the folder that is written piece by piece, and staged once it is finished.
+    /// Creates a file of the folder that is written piece by piece; `finish` stages it.
     pub fn begin(&mut self, name: impl AsRef<Path>) -> Result<StagedFile> {
         let path = self.folder.join(name);
         let folder = path.parent().map_or_else(|| self.folder.clone(), Path::to_owned);
@@ -178,7 +177,7 @@ impl OutputFolder {
         }
     }
 
-    /// Stages a file that was begun here and is written whole, in place of one that was staged under its name.
+    /// Stages a complete file created by `begin`; it replaces a staged file of the same name.
     pub fn finish(&mut self, file: StagedFile) -> Result<()> {
         let StagedFile { file, path } = file;
         match file.into_inner() {
@@ -191,7 +190,7 @@ impl OutputFolder {
         }
     }
 
-    /// A temporary file, its folder created if necessary, both entered in the registry.
+    /// Creates a temporary file, and its folder if necessary, and adds both to the registry.
     fn open(&mut self, folder: &Path) -> io::Result<NamedTempFile> {
         let mut registry = registry();
         self.created.extend(entered(&mut registry, folder));
@@ -209,7 +208,7 @@ impl OutputFolder {
         })
     }
 
-    /// Names of the staged files, relative to the folder.
+    /// Returns the names of the staged files, relative to the folder.
     #[must_use]
     pub fn names(&self) -> Vec<String> {
         let name =
@@ -217,26 +216,26 @@ impl OutputFolder {
         self.staged.iter().map(|(_, path)| name(path)).collect()
     }
 
-    /// Takes over what another folder has staged, to be committed with this one.
+    /// Takes over the staged files of another folder, to be committed with this one.
     pub fn take(&mut self, mut other: Self) {
         self.created.append(&mut other.created);
         self.staged.append(&mut other.staged);
     }
 
-    /// Gives all files their final names, replacing older files. Returns the paths.
+    /// Renames all files to their final names, replacing older files. Returns the paths.
     pub fn commit(mut self) -> Result<Vec<PathBuf>> {
-        // A name that is taken by a folder is found before the first file gets its name.
+        // A folder with the name of a result is an error before the first file is renamed.
         if let Some((_, path)) = self.staged.iter().find(|(_, path)| path.is_dir()) {
             return Err(Error::content(path, "is a folder, but a result has this name"));
         }
         let begun = Instant::now();
-        // A disk that is full or broken may say so only now.
+        // A full or broken disk may report an error only now.
         for (file, path) in &self.staged {
             written_through(file.as_file())
                 .map_err(|source| Error::Write { path: path.clone(), source: plain(source) })?;
         }
         let paths = {
-            // No interrupt can come between the first and the last.
+            // The lock keeps an interrupt from coming between the first and the last file.
             let mut registry = registry();
             name_all(mem::take(&mut self.staged), &mut registry)?
         };
@@ -260,20 +259,20 @@ impl Drop for OutputFolder {
         self.staged.clear();
         remove_empty(&self.created);
         registry.folders.retain(|folder| !self.created.contains(folder));
-        // Those of this folder are removed, or have their final names.
+        // The files of this folder are already removed or renamed.
         registry.files.retain(|file| file.exists());
     }
 }
 
-/// A file that has its name, and the older one that had it.
+/// File with its final name, and the older one that it replaced.
 struct Named {
     path: PathBuf,
     older: Option<NamedTempFile<()>>,
 }
 
 impl Named {
-    /// Gives a file its name. The older file is kept under another one until all have theirs, where the file system can
-    /// do so.
+    /// Renames a file to its final name. If the file system has links, the older file is kept under a temporary name until all
+    /// files are renamed.
     fn give(file: NamedTempFile, path: PathBuf) -> Result<Self> {
         let folder = path.parent().unwrap_or(Path::new(""));
         let keep = |kept: &Path| fs::hard_link(&path, kept);
@@ -284,7 +283,7 @@ impl Named {
         }
     }
 
-    /// As it was before.
+    /// Restores the older file.
     fn undo(self) {
         let _ = match self.older {
             Some(older) => renamed(older, &self.path),
@@ -293,10 +292,10 @@ impl Named {
     }
 }
 
-/// Gives a temporary file another name. On an error it is removed.
+/// Renames a temporary file. On an error it is removed.
 fn renamed<F>(file: NamedTempFile<F>, path: &Path) -> io::Result<()> {
     fs::rename(file.path(), path)?;
-    // There is nothing left to remove.
+    // Without this, the renamed file would be removed on drop.
     file.into_temp_path().keep().map(|_| ()).map_err(|e| e.error)
 }
 
@@ -306,7 +305,7 @@ fn named_builder() -> tempfile::Builder<'static, 'static> {
     builder
 }
 
-/// Gives all files their names, or none of them.
+/// Renames all files to their final names, or none of them.
 fn name_all(
     staged: Vec<(NamedTempFile, PathBuf)>,
     registry: &mut Registry,
@@ -326,7 +325,7 @@ fn name_all(
     Ok(named.into_iter().map(|named| named.path).collect())
 }
 
-/// Waits until a file is on the disk; file systems that cannot wait are taken at their word.
+/// Waits until a file is on the disk; an error of file systems that do not support this is ignored.
 fn written_through(file: &fs::File) -> io::Result<()> {
     match file.sync_data() {
         Err(e) if matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => Ok(()),
@@ -334,7 +333,7 @@ fn written_through(file: &fs::File) -> io::Result<()> {
     }
 }
 
-/// Removes temporary files that a killed process has left in a folder and the folders in it. For whoever holds the folder.
+/// Removes temporary files of a killed process in a folder and its subfolders. The caller has to hold the folder.
 pub(super) fn remove_left_overs(folder: &Path) {
     let [begin, end] = TEMPORARY;
     let within = |folder: &Path| -> Vec<PathBuf> {
@@ -352,7 +351,7 @@ pub(super) fn remove_left_overs(folder: &Path) {
     }
 }
 
-/// The system's reason alone: the temporary file's name would only mislead.
+/// Returns the system's reason alone: the name of the temporary file would be misleading.
 fn plain(error: io::Error) -> io::Error {
     match error.kind() {
         kind @ (ErrorKind::NotFound
@@ -364,7 +363,7 @@ fn plain(error: io::Error) -> io::Error {
     }
 }
 
-/// Temporary files are private by default; results are as readable as any other new file.
+/// Creates a temporary file with the permissions of any other new file; by default temporary files are private.
 fn temporary_file(folder: &Path) -> io::Result<NamedTempFile> {
     let mut builder = named_builder();
     #[cfg(unix)]

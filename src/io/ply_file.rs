@@ -2,10 +2,10 @@
 
 use std::io::{self, Seek, SeekFrom, Write};
 
-/// A property of all points.
+/// Property of all points.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PlyColumn<'a> {
-    /// Numbers of 32 bits.
+    /// Floating-point numbers of 32 bits.
     Float(&'a str, Vec<f64>),
     /// Whole numbers of 32 bits.
     Int(&'a str, Vec<i32>),
@@ -27,7 +27,7 @@ impl PlyColumn<'_> {
     }
 }
 
-/// Writes points piece by piece. How many they are is known at the end, when the header is written again.
+/// Writer of points piece by piece. Their number is known only at the end, when the header is written again.
 #[derive(Debug)]
 pub struct PlyWriter<W: Write + Seek> {
     out: W,
@@ -38,11 +38,11 @@ pub struct PlyWriter<W: Write + Seek> {
     count: u64,
 }
 
-/// The header keeps its length while the number of points grows: blanks behind the comment make up for digits.
+/// Digits of the number of points and blanks after the comment: the header keeps its length while the number grows.
 const DIGITS: usize = 20;
 
 impl<W: Write + Seek> PlyWriter<W> {
-    /// Begins a file.
+    /// Creates a writer.
     pub fn new(out: W, comment: &str) -> Self {
         Self { out, comment: comment.to_owned(), properties: None, length: 0, count: 0 }
     }
@@ -56,8 +56,8 @@ impl<W: Write + Seek> PlyWriter<W> {
         )
     }
 
-    /// Writes further points with these properties, `x`, `y` and `z` among them; all columns have the same length, and
-    /// those of all pieces the same names.
+    /// Writes further points with these properties, including `x`, `y` and `z`. All columns have the same length, and all
+    /// pieces the same names.
     pub fn write(&mut self, columns: &[PlyColumn]) -> io::Result<()> {
         if self.properties.is_none() {
             self.properties = Some(columns.iter().map(PlyColumn::property).collect());
@@ -80,12 +80,12 @@ impl<W: Write + Seek> PlyWriter<W> {
         Ok(())
     }
 
-    /// What the file is written to.
+    /// Returns the underlying output.
     pub fn get_ref(&self) -> &W {
         &self.out
     }
 
-    /// Writes how many points there are, and returns what the file was written to; with an error too.
+    /// Writes the number of points, and returns the underlying output, also with an error.
     pub fn finish(mut self) -> std::result::Result<W, (W, io::Error)> {
         match self.write_count() {
             Ok(()) => Ok(self.out),

@@ -1,4 +1,4 @@
-//! `.xyz` point clouds, as RxLive writes them.
+//! `.xyz` point clouds as written by RxLive.
 
 use std::path::Path;
 
@@ -6,13 +6,13 @@ use super::read_text;
 use crate::error::{Error, Result};
 use crate::numerics::median;
 
-/// Columns of a line are separated by blanks, commas or semicolons; those after the third are colours.
+/// Separators of columns: blanks, commas or semicolons. Columns after the third are colours.
 const SEPARATORS: [char; 3] = [' ', ',', ';'];
 
-/// Reads the median z of a point cloud: lines of x, y, z, and whatever follows them; lines that begin
-/// with `#` or `//` are comments, and a first line of words is a header.
+/// Reads the median z of a point cloud: lines of x, y, z and further columns. Lines that begin with `#` or `//` are comments,
+/// and a first line of words is a header.
 ///
-/// An error names a line that is not a point, or says that there are no points.
+/// An error names a line that is not a point, or states that there are no points.
 pub fn read_point_cloud_distance(path: &Path) -> Result<f64> {
     let text = read_text(path)?;
     let mut depths = Vec::new();
@@ -27,7 +27,7 @@ pub fn read_point_cloud_distance(path: &Path) -> Result<f64> {
         let z = columns.nth(2).and_then(|column| column.parse::<f64>().ok());
         match z {
             Some(z) if z.is_finite() => depths.push(z),
-            // Points without a depth.
+            // Points without a depth are skipped.
             Some(_) => {}
             None if number == 0 => {}
             None => {

@@ -1,4 +1,4 @@
-//! `poses.json`: where the boards were.
+//! `poses.json`: poses of the boards.
 
 use std::collections::HashSet;
 
@@ -11,9 +11,9 @@ use crate::error::{Error, Result};
 use crate::model::FramePose;
 use crate::solver::Uncertainty;
 
-/// `format` of the file.
+/// Value of `format` in the file.
 pub const POSES_FORMAT: &str = "plenocal-poses";
-/// `version` of the file.
+/// Value of `version` in the file.
 pub const POSES_VERSION: u64 = 1;
 
 #[derive(Deserialize)]
@@ -33,9 +33,8 @@ struct TransformFile {
     translation_mm: [f64; 3],
 }
 
-/// The content of `poses.json`: `camera_from_board` of every frame as rotation vector (axis times
-/// angle), the rotation also as a matrix (row by row), translation, and if known their standard
-/// deviations.
+/// Returns the content of `poses.json`: `camera_from_board` of every frame as rotation vector (axis times angle), the rotation
+/// also as a matrix (row by row), translation and, if known, their standard deviations.
 #[must_use]
 pub fn poses_document(poses: &[FramePose], uncertainty: Option<&Uncertainty>) -> Value {
     let pose = |(i, p): (usize, &FramePose)| {
@@ -66,7 +65,7 @@ pub fn poses_document(poses: &[FramePose], uncertainty: Option<&Uncertainty>) ->
     })
 }
 
-/// The poses in a JSON document.
+/// Returns the poses in a JSON document.
 pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
     check_version(&value, POSES_FORMAT, POSES_VERSION)?;
     let file: PosesFile = document_of(value, POSES_FORMAT)?;
@@ -82,7 +81,7 @@ pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
     file.poses.into_iter().map(pose).collect()
 }
 
-/// The poses as they are; an error if a frame has two: which of them was meant is not known.
+/// Returns the poses unchanged; an error if a frame has two, since the intended one is not known.
 pub(super) fn of_different_frames(poses: Vec<FramePose>) -> Result<Vec<FramePose>> {
     let mut seen = HashSet::new();
     match poses.iter().find(|pose| !seen.insert(pose.frame)) {
@@ -93,10 +92,10 @@ pub(super) fn of_different_frames(poses: Vec<FramePose>) -> Result<Vec<FramePose
     }
 }
 
-/// The nearest that the first corner of a board is to the camera: what is nearer is not in mm.
+/// Least distance of the first corner of a board from the camera: a smaller one is not in mm.
 const NEAREST_MM: f64 = 5.0;
 
-/// The poses as they are; an error if a board lies behind the camera, or in it.
+/// Returns the poses unchanged; an error if a board lies behind the camera, or in it.
 pub(super) fn before_the_camera(poses: Vec<FramePose>) -> Result<Vec<FramePose>> {
     let z = |pose: &FramePose| pose.camera_from_board.translation.z;
     let Some(pose) = poses.iter().find(|pose| z(pose) < NEAREST_MM) else { return Ok(poses) };
@@ -113,10 +112,10 @@ pub(super) fn before_the_camera(poses: Vec<FramePose>) -> Result<Vec<FramePose>>
     }))
 }
 
-/// Squares of values far beyond this overflow.
+/// Largest coordinate: squares of much larger values overflow.
 const FAR_MM: f64 = 1e100;
 
-/// A pose as it is; an error if it is not finite.
+/// Returns a pose unchanged; an error if it is not finite.
 pub(super) fn possible(pose: FramePose) -> Result<FramePose> {
     let (place, turn) = (&pose.camera_from_board.translation, &pose.camera_from_board.rotation);
     let is_near = place.vector.iter().all(|x| x.abs() < FAR_MM);

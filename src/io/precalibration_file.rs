@@ -1,5 +1,4 @@
-//! `precalibration.json`: the micro-image array and the internal parameters; and centers.csv beside
-//! it.
+//! `precalibration.json`: the micro-image array and the internal parameters; `centers.csv`: the centres.
 
 use std::io::{self, Write};
 
@@ -13,17 +12,17 @@ use crate::error::{Error, Result};
 use crate::model::{InternalParameters, MicroImageCenter};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 
-/// `format` of the file.
+/// Value of `format` in the file.
 pub const PRECALIBRATION_FORMAT: &str = "plenocal-precalibration";
-/// `version` of the file.
+/// Value of `version` in the file.
 pub const PRECALIBRATION_VERSION: u64 = 1;
 
-/// Fields of the internal parameters whose σ stand beside each other in the file.
+/// Fields of the internal parameters whose σ are grouped in the file.
 const WITH_STD_DEV: [&str; 2] = ["m_mm", "q_prime_mm"];
 const STD_DEVS: &str = "standard_deviations";
 const RMS: &str = "rms_px";
 
-/// The field of [`InternalParameters`] with the σ of another.
+/// Returns the field of [`InternalParameters`] with the σ of another field.
 fn std_dev_key(name: &str) -> String {
     name.replace("_mm", "_std_dev_mm")
 }
@@ -40,7 +39,7 @@ struct ArraySize {
     rows: i32,
 }
 
-/// The content of `precalibration.json` where only an array was measured.
+/// Returns the content of `precalibration.json` if only an array was measured.
 #[must_use]
 pub fn array_document(array: &ArrayMeasurement) -> Value {
     Value::Object(fields_of_array(array, &array.lens_types))
@@ -81,7 +80,7 @@ fn fields_of_array(array: &ArrayMeasurement, types: &LensTypes) -> Map<String, V
     }
 }
 
-/// The content of `precalibration.json`; lens types count from 1.
+/// Returns the content of `precalibration.json`; lens types count from 1.
 #[must_use]
 pub fn precalibration_document(result: &Precalibration) -> Value {
     let internal = &result.internal;
@@ -115,13 +114,14 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
     Value::Object(fields)
 }
 
-/// Columns and rows of the array, counting micro-lenses that the border of the image cuts; `None` in a file without them.
+/// Returns columns and rows of the array, including micro-lenses that the border of the image cuts; `None` if the file lacks
+/// them.
 pub(super) fn array_size_from(value: Value) -> Result<Option<(i32, i32)>> {
     let file: PrecalibrationFile = document_of(value, PRECALIBRATION_FORMAT)?;
     Ok(file.micro_image_array.map(|array| (array.columns, array.rows)))
 }
 
-/// The internal parameters in a JSON document.
+/// Returns the internal parameters in a JSON document.
 pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameters> {
     check_version(&value, PRECALIBRATION_FORMAT, PRECALIBRATION_VERSION)?;
     let file: PrecalibrationFile = document_of(value, PRECALIBRATION_FORMAT)?;
@@ -147,8 +147,8 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
     })
 }
 
-/// Writes the centres of an array as CSV, with the standard deviation per axis of each where it was
-/// measured; lens types count from 0 in `lens_type` and from 1 in the file.
+/// Writes the centres of an array as CSV, with the standard deviation per axis of each if it was measured; lens types count
+/// from 0 in `lens_type` and from 1 in the file.
 pub fn write_measured_centers(
     out: &mut dyn Write,
     array: &ArrayMeasurement,
@@ -165,7 +165,7 @@ pub fn write_measured_centers(
 mod tests {
     use super::*;
 
-    /// Names that fields had before 0.1.0, and σ that are not known.
+    /// The document has names of fields before 0.1.0, and σ that are not known.
     #[test]
     fn internal_parameters_of_earlier_files_are_read() {
         let document = |internal: Value| {

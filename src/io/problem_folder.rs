@@ -1,4 +1,4 @@
-//! A whole least-squares problem in a folder: what `plenocal::io::read_problem` in C++ reads.
+//! Complete least-squares problem in a folder, which `plenocal::io::read_problem` in C++ reads too.
 
 use std::collections::BTreeSet;
 use std::io::{self, Write};
@@ -17,14 +17,14 @@ use crate::error::{Error, Result};
 use crate::model::{BentBoard, Board, BoardShape, MicroImageCenter, Parameter};
 use crate::solver::{CostOptions, Loss, LossKind, Prior};
 
-/// `format` of `problem.json`.
+/// Value of `format` in `problem.json`.
 pub const PROBLEM_FORMAT: &str = "plenocal-problem";
-/// `version` of `problem.json`.
+/// Value of `version` in `problem.json`.
 pub const PROBLEM_VERSION: u64 = 1;
-/// File of a problem with its cost and its board.
+/// Name of the file of a problem with its cost and its board.
 pub const PROBLEM: &str = "problem.json";
 
-/// What is read of `problem.json`.
+/// Fields of `problem.json` that are read.
 #[derive(Deserialize)]
 struct ProblemFile {
     rho: bool,
@@ -52,7 +52,7 @@ struct PriorFile {
     std_dev: f64,
 }
 
-/// Size and shape of the board; its half width and height follow from the size.
+/// Size and shape of the board; half its width and height follow from the size.
 #[derive(Deserialize)]
 struct BoardFile {
     columns: i32,
@@ -64,10 +64,10 @@ struct BoardFile {
     aspect: f64,
 }
 
-/// Reads a problem that was exported.
+/// Reads an exported problem.
 ///
-/// An error that names the file, if one is missing, or if the features have frames without a pose or corners that are not
-/// those of the board.
+/// An error names the file if one is missing, if features have frames without a pose, or if their corners do not agree with the
+/// board.
 pub fn read_problem(folder: &Path) -> Result<SolvedProblem> {
     let path = folder.join(PROBLEM);
     let value = read_json(&path)?;
@@ -121,7 +121,7 @@ fn problem_from(value: Value) -> Result<ProblemFile> {
     document_of(value, PROBLEM_FORMAT)
 }
 
-/// The centres of a problem; none where only poses are estimated.
+/// Reads the centres of a problem; none if only poses are estimated.
 fn read_problem_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
     if read_text(path)?.trim_end().lines().count() == 1 {
         Ok(Vec::new())
@@ -130,8 +130,8 @@ fn read_problem_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
     }
 }
 
-/// Stages `problem.json` (the cost and the board), `camera.json` and `poses.json` (the start), `features.csv` and
-/// `centers.csv` (the observations).
+/// Stages `problem.json` (the cost and the board), `camera.json` and `poses.json` (the start), `features.csv` and `centers.csv`
+/// (the observations).
 pub fn stage_problem(output: &mut OutputFolder, problem: &SolvedProblem) -> Result<()> {
     output.stage_json(PROBLEM, &problem_document(problem))?;
     output.stage_json("camera.json", &camera_document(&problem.camera, None))?;
@@ -140,7 +140,7 @@ pub fn stage_problem(output: &mut OutputFolder, problem: &SolvedProblem) -> Resu
     output.stage("centers.csv", |out| write_problem_centers(out, &problem.centers))
 }
 
-/// The content of `problem.json`.
+/// Returns the content of `problem.json`.
 fn problem_document(problem: &SolvedProblem) -> Value {
     let board = &problem.board;
     let [half_width, half_height] = [board.board.columns, board.board.rows]
@@ -169,7 +169,7 @@ fn problem_document(problem: &SolvedProblem) -> Value {
     })
 }
 
-// Both with all digits of sigma, so that other programs find the same cost.
+// Both files have all digits of σ, so that other programs find the same cost.
 
 fn write_problem_centers(out: &mut dyn Write, centers: &[MicroImageCenter]) -> io::Result<()> {
     writeln!(out, "k,l,u,v,std_dev")?;

@@ -1,4 +1,4 @@
-//! A first project file: what is known about a camera and its images, and comments for the rest.
+//! Draft of a project file: known values of a camera and its images, and comments for the rest.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -12,39 +12,39 @@ use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{Board, Datasheet};
 
-/// What a project file is drafted from. A `None` is not known, and becomes a comment.
+/// Values from which a project file is drafted. A `None` is not known, and becomes a comment.
 #[derive(Debug, Clone, Copy)]
 pub struct ProjectDraft<'a> {
-    /// The images.
+    /// Sorted images.
     pub images: &'a SortedImages,
-    /// What they have in common.
+    /// Format shared by the images.
     pub format: Option<CommonFormat>,
-    /// What their samples stand for.
+    /// Meaning of the samples.
     pub color: Option<Color>,
     /// Name and values of a camera of this kind.
     pub preset: Option<(&'a str, &'a Datasheet)>,
     /// F as engraved, mm; takes precedence over the preset, as do the next two.
     pub focal_length_mm: Option<f64>,
-    /// N of the boards' images.
+    /// F-number N of the images of the boards.
     pub f_number: Option<f64>,
-    /// h, mm.
+    /// Focus distance h, mm.
     pub focus_distance_mm: Option<f64>,
-    /// The board.
+    /// Board.
     pub board: Option<Board>,
     /// Motion between the images of a translation, mm.
     pub step_mm: Option<f64>,
 }
 
-/// A drafted project file.
+/// Draft of a project file.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct DraftText {
-    /// Its text.
+    /// Text of the file.
     pub text: String,
-    /// What has to be filled in, one item per line.
+    /// Values to fill in, one item per line.
     pub missing: Vec<String>,
 }
 
-/// Marks what is missing.
+/// Mark of a missing value.
 pub(super) const FILL_IN: &str = "FILL IN";
 /// Column of the comments.
 const COMMENT: usize = 30;
@@ -68,7 +68,7 @@ impl DraftText {
         }
     }
 
-    /// `key = value`, or a comment in its place that says `what` it is.
+    /// Writes `key = value`, or instead a comment that describes the value with `what`.
     fn value(&mut self, table: &str, key: &str, value: Option<String>, what: &str) {
         if let Some(value) = value {
             self.commented(&format!("{key} = {value}"), what);
@@ -88,7 +88,7 @@ impl DraftText {
 }
 
 impl ProjectDraft<'_> {
-    /// The text of a project file in `folder`: paths are relative to it.
+    /// Returns the text of a project file in `folder`; paths are relative to it.
     pub fn text(&self, folder: &Path) -> Result<DraftText> {
         let mut draft = DraftText::default();
         draft.line("# plenocal project: a camera, a board, and their images.");
@@ -109,8 +109,8 @@ impl ProjectDraft<'_> {
         self.preset.map(|(_, sheet)| sheet)
     }
 
-    /// The preset, if its sensor has the size of the images: only then can its pixel size and its
-    /// numbers of micro-lenses be those of the images.
+    /// Returns the preset if its sensor has the size of the images: otherwise its pixel size and numbers of micro-lenses do not
+    /// apply to the images.
     fn sheet_of_size(&self) -> Option<&Datasheet> {
         let size = self.format.map(|format| (format.width_px, format.height_px));
         self.sheet().filter(|s| size.is_none_or(|at| at == (s.sensor.width_px, s.sensor.height_px)))
@@ -258,7 +258,7 @@ impl ProjectDraft<'_> {
         Ok(())
     }
 
-    /// A translation without its step is of no use, so the whole table becomes a comment.
+    /// Writes a translation. Without its step it is useless, so the whole table becomes a comment.
     fn translation(&self, draft: &mut DraftText, names: &[String]) {
         if names.is_empty() {
             return;
@@ -282,7 +282,7 @@ impl ProjectDraft<'_> {
     }
 }
 
-/// An absolute path without links. A part that does not exist yet has none.
+/// Returns an absolute path without links. A part that does not exist yet is kept.
 fn canonical(path: &Path) -> Result<PathBuf> {
     let unreadable = |source| Error::Read { path: path.to_owned(), source };
     let absolute = std::path::absolute(path).map_err(unreadable)?;
@@ -291,8 +291,7 @@ fn canonical(path: &Path) -> Result<PathBuf> {
     Ok(fs::canonicalize(there).map_err(unreadable)?.components().chain(rest.components()).collect())
 }
 
-/// A path as seen from a folder, both without links, quoted. The file's own name stays, even if it
-/// is a link.
+/// Returns a path relative to a folder, both without links, quoted. The name of the file itself stays, even if it is a link.
 fn relative(path: &Path, folder: &Path) -> Result<String> {
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
     let parent = canonical(parent.unwrap_or(Path::new(".")))?;
@@ -307,7 +306,7 @@ fn relative(path: &Path, folder: &Path) -> Result<String> {
     Ok(quoted(name))
 }
 
-/// A string of TOML on one line: JSON escapes the same characters in the same way as TOML.
+/// Returns a string of TOML on one line: JSON escapes the same characters in the same way as TOML.
 fn quoted(text: &(impl Serialize + ?Sized)) -> String {
     serde_json::to_string(text).unwrap_or_default()
 }

@@ -1,4 +1,4 @@
-//! The project file: camera, board, images and options, in TOML.
+//! Project file: camera, board, images and options, in TOML.
 
 use std::path::{Path, PathBuf};
 
@@ -17,45 +17,45 @@ use crate::model::{
 };
 use crate::table::{finite, replace};
 
-/// A project file. Every table may be left out where a command gets its content another way.
+/// Content of a project file. A table may be missing if a command gets its content in another way.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Project {
-    /// The sensor.
+    /// Sensor.
     pub sensor: Option<Sensor>,
-    /// The main lens as stated by its maker.
+    /// Main lens as stated by its maker.
     pub main_lens: Option<MainLensSection>,
-    /// The micro-lens array as stated by its maker.
+    /// Micro-lens array as stated by its maker.
     pub micro_lens_array: Option<ArraySection>,
-    /// Measured on white images.
+    /// Internal parameters measured on white images.
     pub internal_parameters: Option<InternalParameters>,
-    /// The board.
+    /// Board.
     pub board: Option<Board>,
-    /// Where the raw images are, relative to the project file.
+    /// Paths of the raw images, relative to the project file.
     pub images: Option<ImagesSection>,
-    /// Where the observations are, relative to the project file.
+    /// Paths of the observations, relative to the project file.
     pub observations: Option<ObservationsSection>,
-    /// The truth, for comparison; paths are relative to the project file.
+    /// Paths of the truth for comparison, relative to the project file.
     pub truth: Option<TruthSection>,
-    /// Options of the calibration; `method` names the set to begin with.
+    /// Options of the calibration; `method` names the initial set.
     #[serde(default, deserialize_with = "deferred")]
     pub calibration: CalibrationOptions,
 }
 
-/// Leaves `[calibration]` to [`CalibrationOptions::from_table`], which knows methods.
+/// Leaves `[calibration]` to [`CalibrationOptions::from_table`], which handles methods.
 fn deferred<'de, D: Deserializer<'de>>(
     from: D,
 ) -> std::result::Result<CalibrationOptions, D::Error> {
     IgnoredAny::deserialize(from).map(|_| CalibrationOptions::default())
 }
 
-/// `[truth]`
+/// Table `[truth]`.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthSection {
-    /// The camera, `camera.json` or COMPOTE's `intrinsics.js`.
+    /// Camera, `camera.json` or COMPOTE's `intrinsics.js`.
     pub camera: PathBuf,
-    /// The shape of the board, the simulation's `board.toml`.
+    /// Shape of the board, the simulation's `board.toml`.
     pub board: Option<PathBuf>,
     /// Poses of the boards of `calibration`.
     pub calibration_poses: Option<PathBuf>,
@@ -64,7 +64,7 @@ pub struct TruthSection {
 }
 
 impl TruthSection {
-    /// All files of the truth.
+    /// Returns all files of the truth.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         let optional = [&self.board, &self.calibration_poses, &self.evaluation_poses];
         let optional = optional.into_iter().filter_map(|path| path.as_deref());
@@ -72,38 +72,38 @@ impl TruthSection {
     }
 }
 
-/// `[main_lens]`
+/// Table `[main_lens]`.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MainLensSection {
-    /// F, mm.
+    /// Focal length F, mm.
     pub focal_length_mm: f64,
-    /// N.
+    /// F-number N.
     pub f_number: f64,
-    /// h, mm, from the sensor; `inf` is allowed.
+    /// Focus distance h, mm, from the sensor; `inf` is allowed.
     pub focus_distance_mm: f64,
 }
 
-/// `[micro_lens_array]`
+/// Table `[micro_lens_array]`.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ArraySection {
-    /// Where the main lens focuses.
+    /// Configuration, Galilean or Keplerian.
     pub configuration: Configuration,
     /// Packing.
     pub lattice: LatticeKind,
-    /// Micro-lenses along a row; with `rows`, or not at all.
+    /// Micro-lenses along a row; stated together with `rows`, or not at all.
     pub columns: Option<i32>,
     /// Micro-lenses along a column.
     pub rows: Option<i32>,
-    /// I.
+    /// Number I of lens types.
     pub lens_types: usize,
-    /// Distance between neighbouring micro-image centres, px; found if not stated.
+    /// Distance between neighbouring micro-image centres, px; measured if not stated.
     pub micro_image_pitch_px: Option<f64>,
 }
 
 impl ArraySection {
-    /// Columns and rows, where they are stated; an error if only one of them is.
+    /// Returns columns and rows if they are stated; an error if only one of them is.
     fn size(&self) -> Result<Option<(i32, i32)>> {
         match (self.columns, self.rows) {
             (None, None) => Ok(None),
@@ -116,31 +116,31 @@ impl ArraySection {
     }
 }
 
-/// `[images]`
+/// Table `[images]`.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImagesSection {
-    /// What the samples of all images stand for.
+    /// Meaning of the samples of all images.
     pub color: Color,
-    /// The mean sample of a pixel without light, grey levels of the files; measured if not stated.
+    /// Mean sample of a pixel without light, grey levels of the files; measured if not stated.
     pub black_level: Option<f64>,
     /// White images for the pre-calibration.
     #[serde(default)]
     pub whites: Vec<WhiteImage>,
-    /// The white image in the light and at the f-number of the boards.
+    /// White image in the light and at the f-number of the boards.
     pub devignetting: Option<PathBuf>,
-    /// Boards to calibrate with; frames count from 0.
+    /// Boards of the calibration; frames count from 0.
     #[serde(default)]
     pub calibration: Vec<PathBuf>,
-    /// Boards to evaluate with.
+    /// Boards of the evaluation.
     #[serde(default)]
     pub evaluation: Vec<PathBuf>,
-    /// A board moved along the optical axis.
+    /// Images of a board moved along the optical axis.
     pub translation: Option<TranslationImages>,
 }
 
 impl ImagesSection {
-    /// All image files.
+    /// Returns all image files.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         let whites = self.whites.iter().map(|white| &white.image).chain(&self.devignetting);
         let moved = self.translation.iter().flat_map(|t| &t.images);
@@ -157,20 +157,20 @@ impl ImagesSection {
     }
 }
 
-/// `[[images.whites]]`
+/// Table `[[images.whites]]`.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WhiteImage {
-    /// The image.
+    /// Path of the image.
     pub image: PathBuf,
-    /// The true f-number it was taken at.
+    /// True f-number of the image.
     pub f_number: Option<f64>,
-    /// Instead of it, the stop as engraved: 5.6 stands for 5.657.
+    /// Stop as engraved, instead of the f-number: 5.6 stands for 5.657.
     pub stop: Option<f64>,
 }
 
 impl WhiteImage {
-    /// The f-number; an error unless it or the stop is given.
+    /// Returns the f-number; an error unless either it or the stop is given.
     pub fn f_number(&self) -> Result<f64> {
         match (self.f_number, self.stop) {
             (Some(n), None) => Ok(n),
@@ -184,26 +184,26 @@ impl WhiteImage {
     }
 }
 
-/// `[images.translation]`
+/// Table `[images.translation]`.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TranslationImages {
     /// Motion from image to image, mm; negative towards the camera.
     pub step_mm: f64,
-    /// The images, in order.
+    /// Paths of the images, in order.
     pub images: Vec<PathBuf>,
     /// Point clouds (`.xyz`) of the same frames from other software, for comparison.
     #[serde(default)]
     pub clouds: Vec<PathBuf>,
 }
 
-/// `[observations]`
+/// Table `[observations]`.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObservationsSection {
-    /// CSV of the centres; left out if the features file contains them.
+    /// CSV file of the centres; omitted if the features file contains them.
     pub centers: Option<PathBuf>,
-    /// CSV of the features, or COMPOTE's binary form.
+    /// CSV file of the features, or COMPOTE's binary form.
     pub features: PathBuf,
 }
 
@@ -213,12 +213,12 @@ impl Project {
         Self::read_and_set(path, &[])
     }
 
-    /// A project without a file, made of values such as `calibration.loss=huber`.
+    /// Creates a project without a file from values such as `calibration.loss=huber`.
     pub fn of_values(set: &[String]) -> Result<Self> {
         Self::parsed("", set)
     }
 
-    /// Reads a project file and replaces values in it, as in `calibration.loss=huber`.
+    /// Reads a project file and replaces values in it, such as `calibration.loss=huber`.
     pub fn read_and_set(path: &Path, set: &[String]) -> Result<Self> {
         let mut project = Self::parsed(&read_text(path)?, set).map_err(|e| e.in_file(path))?;
         let folder = path.parent().unwrap_or(Path::new(""));
@@ -250,7 +250,7 @@ impl Project {
         };
         let mut table: Table = text.parse().map_err(wrong)?;
         set.iter().try_for_each(|pair| replace(&mut table, pair))?;
-        // Errors in the text itself can name the line.
+        // Only errors in the original text can name the line.
         let parsed = if set.is_empty() { toml::from_str(text) } else { table.clone().try_into() };
         let mut project: Self = parsed.map_err(wrong)?;
         project.check_step()?;
@@ -282,7 +282,7 @@ impl Project {
         }
     }
 
-    /// The datasheet, if its three tables are there; an error if only some are.
+    /// Returns the datasheet if its three tables exist; an error if only some do.
     pub fn datasheet(&self) -> Result<Option<Datasheet>> {
         match (self.sensor, self.main_lens, self.micro_lens_array) {
             (None, None, None) => Ok(None),

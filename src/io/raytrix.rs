@@ -1,4 +1,4 @@
-//! Raytrix' `RayCalibData` (XML): the micro-image array as the maker measured it.
+//! Raytrix' `RayCalibData` (XML): the micro-image array measured by the maker.
 //!
 //! Positions are measured from the middle of the image, y upwards, in units of the pitch ("lens"),
 //! except for the offset, which is in px.
@@ -15,7 +15,7 @@ use crate::finding::{Finding, Issue};
 use crate::model::{LatticeKind, MOST_PIXELS, MicroImageCenter, check_lens_types};
 use crate::precalibration::{lattice_centers, lattice_orientation};
 
-/// A micro-image array from a `RayCalibData` file.
+/// Micro-image array from a `RayCalibData` file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RaytrixCalibration {
     /// Packing.
@@ -26,26 +26,26 @@ pub struct RaytrixCalibration {
     pub rotation_rad: f64,
     /// Number of lens types; one if the file names none.
     pub lens_types: usize,
-    /// Middle of lens (0, 0) from the middle of the image, px, v downwards.
+    /// Position of lens (0, 0) relative to the middle of the image, px, v downwards.
     offset_px: Vector2<f64>,
     /// Steps to two neighbours, 60 degrees apart on a hexagonal lattice, px, v downwards.
     steps_px: Matrix2<f64>,
-    /// Colour of each of several lens types, see [`color`].
+    /// Colours of the lens types if there are several, see [`color`].
     colors: Vec<i32>,
-    /// What the file states of the array that is not used.
+    /// Values of the file about the array that are not used.
     unused: Unused,
 }
 
-/// What a file states that is not used: it is not known where it is measured from, or in which sense.
+/// Values of a file that are not used, since their reference or their sign is not known.
 #[derive(Debug, Clone, PartialEq, Default)]
 struct Unused {
     /// Name of a distortion with parameters that are not 0.
     distortion: Option<String>,
-    /// A rotation beside that of the lattice, rad.
+    /// Rotation in addition to the rotation of the lattice, rad.
     rotation_rad: f64,
 }
 
-/// Rotations that are less are those of rounding: 0.05 px at the border of a large image.
+/// Least rotation that is not rounding; it moves points at the border of a large image by 0.05 px.
 const LEAST_ROTATION_RAD: f64 = 1e-5;
 
 impl Unused {
@@ -60,8 +60,8 @@ impl Unused {
             let stated = all.split(';').filter_map(|number| number.trim().parse::<f64>().ok());
             (stated.into_iter().any(|number| number != 0.0)).then(|| text(node, "function"))
         });
-        // The axis of a hexagonal lattice is one of six directions along rows, or of six between them.
-        // y is upwards in the file, so that its angles are of the other sense.
+        // The stated rotation of a hexagonal lattice may refer to one of six directions along rows, or of six between them. In
+        // the file, y is upwards, so that its angles have the opposite sign.
         let stated = in_root("rotation").and_then(|node| number(node).ok()).unwrap_or(0.0);
         let symmetry = if kind == LatticeKind::Orthogonal { FRAC_PI_2 } else { FRAC_PI_6 };
         let beside = stated + lattice_rad;
@@ -116,10 +116,10 @@ fn calibration(root: Node) -> Result<RaytrixCalibration> {
     })
 }
 
-/// The offset of a lens type is a whole number of steps to within this fraction of a step.
+/// Largest deviation of the offset of a lens type from a whole number of steps, in steps.
 const ON_NODE: f64 = 0.1;
 
-/// Colours of the lens types of a file if there are several, in its order.
+/// Returns the colours of the lens types of a file in its order, if there are several.
 fn type_colors(root: Node, kind: LatticeKind, to_nodes: &Matrix2<f64>) -> Result<Vec<i32>> {
     let types: Vec<Node> = root.children().filter(|node| node.has_tag_name("lens_type")).collect();
     check_lens_types(types.len(), kind)
@@ -147,7 +147,7 @@ fn type_colors(root: Node, kind: LatticeKind, to_nodes: &Matrix2<f64>) -> Result
     Ok(colors)
 }
 
-/// One of three colours (0 to 2) that no two neighbours share, by steps 60 degrees apart.
+/// Returns the colour (0 to 2) of a node in steps to neighbours 60 degrees apart; neighbours have different colours.
 #[allow(clippy::cast_possible_truncation)] // from 0 to 2
 fn color(node: &Vector2<f64>) -> i32 {
     (node.x - node.y).rem_euclid(3.0) as i32
@@ -172,7 +172,7 @@ fn vector(node: Node) -> Result<Vector2<f64>> {
 }
 
 impl RaytrixCalibration {
-    /// Findings about what the file states and is not used.
+    /// Returns findings about values of the file that are not used.
     #[must_use]
     pub fn findings(&self) -> Vec<Finding> {
         let Unused { distortion, rotation_rad } = self.unused.clone();
@@ -181,7 +181,7 @@ impl RaytrixCalibration {
         issue.into_iter().map(Finding::caution).collect()
     }
 
-    /// About how many centres an image of this size, px, has. An error if it has more pixels than any sensor.
+    /// Estimates the number of centres in an image of this size, px. An error if it has more pixels than any sensor.
     pub fn number_of_centers(&self, width: u16, height: u16) -> Result<f64> {
         if u64::from(width) * u64::from(height) > MOST_PIXELS {
             return Err(Error::invalid(format!("no sensor has more than {MOST_PIXELS} pixels")));
@@ -189,7 +189,7 @@ impl RaytrixCalibration {
         Ok(f64::from(width) * f64::from(height) / self.steps_px.determinant().abs())
     }
 
-    /// All centres in an image of this size, px. Errors are those of [`Self::number_of_centers`].
+    /// Returns all centres in an image of this size, px. Errors are the same as in [`Self::number_of_centers`].
     pub fn centers(&self, width: u16, height: u16) -> Result<Vec<MicroImageCenter>> {
         self.number_of_centers(width, height)?;
         let origin = Self::middle(width, height) + self.offset_px;
@@ -200,20 +200,19 @@ impl RaytrixCalibration {
         Vector2::new(f64::from(width) - 1.0, f64::from(height) - 1.0) / 2.0
     }
 
-    /// Lens type, from 0 in the order of the file, of the centre nearest to a position in an image
-    /// of this size, px.
+    /// Returns the lens type, from 0 in the order of the file, of the centre nearest to a position in an image of this size,
+    /// px.
     #[must_use]
     pub fn lens_type(&self, width: u16, height: u16, p: Vector2<f64>) -> usize {
         let color = color(&self.nearest(width, height, p));
         self.colors.iter().position(|&c| c == color).unwrap_or(0)
     }
 
-    /// The nearest node.
+    /// Returns the nearest node.
     fn nearest(&self, width: u16, height: u16, p: Vector2<f64>) -> Vector2<f64> {
         let from_first = p - Self::middle(width, height) - self.offset_px;
         let place = self.steps_px.try_inverse().unwrap_or_else(Matrix2::zeros) * from_first;
-        // On a hexagonal lattice rounding does not always give the nearest node: its neighbours
-        // are tried too.
+        // On a hexagonal lattice rounding does not always give the nearest node, so its neighbours are tried too.
         let rounded = place.map(f64::round);
         let around = (-1..=1).flat_map(|i| (-1..=1).map(move |j| (f64::from(i), f64::from(j))));
         around
@@ -231,8 +230,8 @@ mod tests {
     use super::*;
     use crate::precalibration::fit_grid;
 
-    /// A file of a lattice rotated by `turned` degrees, with y upwards, and with lens types at
-    /// these steps along the first base.
+    /// Creates a file of a lattice rotated by `turned` degrees, with y upwards, and with lens types at these steps along the
+    /// first base.
     fn file(turned: f64, between: f64, types: &[f64]) -> String {
         let step = |degrees: f64| {
             let (y, x) = degrees.to_radians().sin_cos();
@@ -258,7 +257,7 @@ mod tests {
     #[test]
     fn turned_lattices_are_read_in_either_packing() {
         use LatticeKind::{HexagonalColumns, HexagonalRows, Orthogonal};
-        // A rotation with y upwards has the opposite sign with v downwards.
+        // The sign of a rotation differs, since y is upwards and v downwards.
         for (turned, between, kind, rotation) in [
             (4.0, 60.0, HexagonalRows, -4.0),
             (-3.0, 60.0, HexagonalRows, 3.0),
@@ -280,7 +279,7 @@ mod tests {
             let grid = fit_grid(&places, kind, count(|c| c.k), count(|c| c.l)).unwrap();
             assert!((grid.pitch_px - 23.5).abs() < 1e-9 && grid.rms_px < 1e-9);
             assert!((grid.rotation_rad - maker.rotation_rad).abs() < 1e-12, "{turned} degrees");
-            // Lens (0, 0) is to the right of the middle, and below it as y is negative.
+            // Lens (0, 0) is to the right of the middle, and below it since y is negative.
             let first = Vector2::new(299.5 + 3.5, 249.5 + 2.25);
             let step = Vector2::new(turned.to_radians().cos(), -turned.to_radians().sin()) * 23.5;
             let at = |c: &MicroImageCenter| Vector2::new(c.u_px, c.v_px);
@@ -342,7 +341,7 @@ mod tests {
         };
         assert_eq!(of(0.0, &distortion("constant", "0")), []);
         assert_eq!(of(0.0, &distortion("Brown", "-0.001;0.0007")), issue(Some("Brown"), 0.0));
-        // A rotation that is that of the lattice says nothing new.
+        // The rotation of the lattice itself is no additional value.
         assert_eq!(of(0.0, "<rotation>0.000005</rotation>"), []);
         assert_eq!(of(90.0, "<rotation>1.570796370506</rotation>"), []);
         let [Issue::MakerValuesUnused { distortion: None, rotation_rad }] =

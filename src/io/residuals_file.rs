@@ -1,17 +1,16 @@
-//! Residuals as CSV, one line for each observation used.
+//! Residuals as CSV, one line for each used observation.
 
 use std::io::{self, Write};
 
 use crate::model::Reprojection;
 
-/// Writes `kind,frame,cluster,k,l,lens_type,u,v,rho,du,dv,drho`: what was observed and observed
-/// minus projected, px. `kind` is `feature` or `center`; lens types count from 1; what does not
-/// apply is left empty.
+/// Writes `kind,frame,cluster,k,l,lens_type,u,v,rho,du,dv,drho`: the observed values, and observed minus projected, px. `kind`
+/// is `feature` or `center`; lens types count from 1; fields that do not apply are empty.
 pub fn write_residuals(out: &mut dyn Write, reprojection: &Reprojection) -> io::Result<()> {
     writeln!(out, "kind,frame,cluster,k,l,lens_type,u,v,rho,du,dv,drho")?;
     for r in &reprojection.features {
         let f = &r.feature;
-        // ρ that was not used is left out.
+        // An unused ρ is omitted.
         let rho = text(f.rho_px.filter(|_| r.drho_px.is_some()));
         let drho = text(r.drho_px);
         writeln!(

@@ -1,18 +1,18 @@
-//! Names that are misspelt, and messages of the readers of TOML, JSON and CSV in words of users.
+//! Detection of misspelt names, and messages of the readers of TOML, JSON and CSV in words of users.
 
-/// The known name that one looks like.
+/// Returns the known name that a name resembles.
 pub(super) fn meant<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     known.into_iter().find(|name| looks_like(&found.to_lowercase(), name))
 }
 
-/// Whether a word is another one with a letter too many, too few or wrong, or with two letters exchanged; or, of a long
-/// word, any two of these.
+/// Returns true if a word differs from a name by one letter too many, too few or wrong, or by two exchanged letters. A long
+/// name may differ by any two of these.
 pub(super) fn looks_like(found: &str, name: &str) -> bool {
     const SHORTEST: usize = 3;
     const LONG: usize = 6;
     let most = if name.len() < LONG { 1 } else { 2 };
     if name.len() < SHORTEST {
-        // Of the names of one letter, only the case may differ.
+        // In a name of one or two letters, only the case may differ.
         return found == name;
     }
     if found.len().abs_diff(name.len()) > most {
@@ -38,7 +38,7 @@ pub(super) fn looks_like(found: &str, name: &str) -> bool {
     steps[a.len()][b.len()] <= most
 }
 
-/// What a reader expects, by the names of its types, and what users call it.
+/// Types expected by readers, and their names for users.
 const TYPES: [(&str, &str); 13] = [
     ("i32", "a whole number from -2147483648 to 2147483647"),
     ("u32", "a whole number from 0 to 4294967295"),
@@ -55,7 +55,7 @@ const TYPES: [(&str, &str); 13] = [
     ("a map", "a table"),
 ];
 
-/// A message of a reader without names of types; a key that is not known is followed by the one that it looks like.
+/// Returns a message of a reader without names of types; after an unknown key, it suggests the similar one.
 pub(super) fn plain(message: &str) -> String {
     let message = message.replace(" as i128", "").replace(" as u128", "");
     let lines: Vec<String> = message.split('\n').map(plain_line).collect();
@@ -90,7 +90,7 @@ fn plain_line(line: &str) -> String {
     format!("{before}expected {word}")
 }
 
-/// "unknown field `a`, expected one of `b`, `c`" with the one that is meant in place of all.
+/// Rewrites "unknown field `a`, expected one of `b`, `c`" with only the similar name.
 fn with_suggestion(line: &str) -> Option<String> {
     let (before, rest) = line.split_once("unknown field `")?;
     let (found, rest) = rest.split_once('`')?;

@@ -1,4 +1,4 @@
-//! Virtual depths by other software: CSV of single points, and maps.
+//! Virtual depths of other software: CSV of single points, and maps.
 
 use std::fmt;
 use std::fs::File;
@@ -15,8 +15,8 @@ use crate::error::{Error, Result};
 use crate::image::{Color, RawImage, Samples};
 use crate::solver::VirtualPoint;
 
-/// A map of virtual depths. It is read piece by piece: all of it, with a point for each pixel of a large sensor, would take
-/// tens of gigabytes.
+/// Map of virtual depths, read piece by piece: the whole map, with a point for each pixel of a large sensor, would take tens of
+/// gigabytes.
 #[derive(Debug)]
 pub struct DepthMap {
     /// Columns, px.
@@ -25,18 +25,18 @@ pub struct DepthMap {
     pub height: usize,
     path: PathBuf,
     depths: Depths,
-    /// How many pixels were read.
+    /// Number of pixels read so far.
     read: usize,
 }
 
 enum Depths {
     /// Numbers of this size, bytes, in a file.
     Numbers(NpyFile, usize),
-    /// Grey levels, and what they mean.
+    /// Grey levels with offset and factor of their scale.
     Levels(RawImage, [f64; 2]),
 }
 
-/// The file from its beginning, whose first bytes were looked at.
+/// File from its beginning, whose first bytes have already been read.
 type NpyFile = BufReader<Chain<Cursor<Vec<u8>>, File>>;
 
 impl fmt::Debug for Depths {
@@ -49,11 +49,12 @@ impl fmt::Debug for Depths {
 }
 
 impl DepthMap {
-    /// Reads the ν of the next pixels, row by row and at most so many; NaN where there is none. No pixels follow the last one.
+    /// Reads ν of the next pixels, row by row and at most `most`; NaN for a pixel without one. The result is empty after the
+    /// last pixel.
     ///
-    /// An error if the file has other than as many numbers as its shape says.
+    /// An error if the file has more or fewer numbers than its shape states.
     pub fn next(&mut self, most: usize) -> Result<Vec<f64>> {
-        // A product beyond all memory was refused when the header was read.
+        // An overflow of this product was refused when the header was read.
         let left = self.width * self.height - self.read;
         let count = most.min(left);
         let begin = self.read;
@@ -68,28 +69,28 @@ impl DepthMap {
     }
 }
 
-/// What a file of virtual depths has.
+/// Content of a file of virtual depths.
 #[derive(Debug)]
 pub enum VirtualDepths {
     /// One point in each line of a CSV file.
     Points(Vec<VirtualPoint>),
     /// Depths by pixel, from a `.npy` file of numbers or from an image.
     Map(DepthMap),
-    /// A CSV file without depths: features, from which points are triangulated.
+    /// Features in a CSV file without depths, from which points are triangulated.
     Features,
 }
 
 /// First bytes of a `.npy` file.
 const NPY: &[u8] = b"\x93NUMPY";
-/// What an image lacks.
+/// Error for an image without a scale.
 const LEVELS: &str = "what its grey levels mean is not known: give A and B if the virtual depth is A + B times the level";
-/// What an image has too many of.
+/// Error for an image with three channels.
 const CHANNELS: &str = "this image has three channels, but a virtual depth is one number: save the map with one channel, not in colours";
 
-/// Reads virtual depths. In an image, the depth is `scale[0]` + `scale[1]` times the grey level of the file, and level 0
-/// stands for no depth. σ of points in CSV files is `std_dev` (u, v and ν) where they state none.
+/// Reads virtual depths. In an image, the depth is `scale[0]` + `scale[1]` times the grey level of the file, and level 0 means
+/// no depth. `std_dev` (u, v and ν) replaces σ that a CSV file does not state.
 ///
-/// An error says what is wrong in the file, or that it is an image and no scale is given.
+/// An error states what is wrong in the file, or that it is an image without a given scale.
 pub fn read_virtual_depths(
     path: &Path,
     scale: Option<[f64; 2]>,
@@ -107,7 +108,7 @@ pub fn read_virtual_depths(
     file.read_to_end(&mut bytes).map_err(unreadable)?;
     record_read(path, bytes.len() as u64, begun);
     let first_line = bytes.split(|b| *b == b'\n').next().unwrap_or_default();
-    // Columns that are separated otherwise are refused by the reader of CSV, which says how.
+    // The reader of CSV refuses other separators with a remedy.
     let names: Vec<&str> = std::str::from_utf8(first_line)
         .unwrap_or_default()
         .trim_start_matches('\u{feff}')
@@ -148,7 +149,7 @@ fn depths_of_levels(
     }
 }
 
-/// Why a `.npy` file cannot be used.
+/// Reason why a `.npy` file cannot be used.
 enum NpyError {
     Read(io::Error),
     Content(&'static str),
@@ -172,10 +173,10 @@ impl From<io::Error> for NpyError {
     }
 }
 
-/// More bytes are no header of an array of numbers.
+/// Largest size of the header, bytes.
 const LONGEST_HEADER: usize = 1 << 16;
 
-/// The map in a `.npy` file with two dimensions, `<f4` or `<f8`, in C order.
+/// Opens the map in a `.npy` file with two dimensions, `<f4` or `<f8`, in C order.
 fn npy_map(path: &Path, mut file: NpyFile) -> std::result::Result<DepthMap, NpyError> {
     let wrong = |what: &'static str| NpyError::Content(what);
     let mut begin = [0; 8];
@@ -234,7 +235,7 @@ fn npy_map(path: &Path, mut file: NpyFile) -> std::result::Result<DepthMap, NpyE
 const OTHER_SHAPE: &str =
     "does not have as many numbers as its shape says: copy it again, or save it with numpy.save";
 
-/// The next numbers of a file; nothing follows the last ones.
+/// Reads the next numbers of a file; an error if data follow the last ones.
 fn next_numbers(
     file: &mut NpyFile,
     size: usize,

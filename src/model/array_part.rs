@@ -1,17 +1,17 @@
-//! One array of micro-lenses, of which two cameras know different parts.
+//! Parts of one array of micro-lenses, known to different cameras.
 
 use nalgebra::{Rotation3, Vector2, Vector3};
 
 use super::camera::{MicroLensArray, PlenopticCamera};
 use super::lattice::Lattice;
 
-/// Two parts of one array are not farther from each other than this many of its diameters.
+/// Largest distance between two parts of one array, in diameters of the array.
 const DIAMETERS: i32 = 4;
 
 impl PlenopticCamera {
-    /// The same camera with the micro-lenses that another one knows of its array: another part of the same lattice, or
-    /// counted from another micro-lens. t, D and d become those at the middle of that part, and the focal lengths stand in
-    /// the order of its lens types. `None` if the two cannot be parts of one lattice.
+    /// Returns this camera with the part of the array known to another one: another part of the same lattice, or one with other
+    /// indices. t, D and d refer to the middle of that part, and the focal lengths have the order of its lens types. `None` if
+    /// the two cannot be parts of one lattice.
     #[must_use]
     pub fn with_array_of(&self, other: &Self) -> Option<Self> {
         let (own, its) = (&self.lattice, &other.lattice);
@@ -24,7 +24,7 @@ impl PlenopticCamera {
         let middle = own.node(own_k, own_l) - its.node(k, l);
         let mut camera = Self { lattice: *its, ..self.clone() };
         let (of_types, types) = (&self.mla.focal_lengths_mm, self.lens_types());
-        // Any three neighbours along a row have all types.
+        // Three neighbours along a row always include all types.
         for (dk, dl) in (0..3).flat_map(|dk| (0..3).map(move |dl| (dk, dl))).filter(|_| types > 0) {
             let (own_k, own_l) = nearest(own, middle + its.node(k + dk, l + dl))?;
             camera.mla.focal_lengths_mm[its.lens_type(k + dk, l + dl, types)] =
@@ -52,19 +52,19 @@ impl MicroLensArray {
         Vector3::new(self.offset_mm.x, self.offset_mm.y, -self.lens_to_mla_mm)
     }
 
-    /// Where a place of the array, in pitches from its middle, is in the camera frame.
+    /// Returns the position in the camera frame of a point of the array, given in pitches from its middle.
     fn place_mm(&self, place: Vector2<f64>) -> Vector3<f64> {
         self.rotation() * place.component_mul(&self.pitches_mm()).push(0.0) + self.middle_mm()
     }
 
-    /// The place of the array that a point of the camera frame is before or behind.
+    /// Projects a point of the camera frame onto the array; returns its position in pitches.
     fn in_pitches(&self, point_mm: Vector3<f64>) -> Vector2<f64> {
         let in_array = self.rotation().inverse() * (point_mm - self.middle_mm());
         in_array.xy().component_div(&self.pitches_mm())
     }
 }
 
-/// The node that is nearest to a place, in pitches, where the lattice goes on beyond the array; `None` if that is far away.
+/// Returns the node nearest to a position in pitches, on the lattice continued beyond the array; `None` if it is far away.
 fn nearest(lattice: &Lattice, place: Vector2<f64>) -> Option<(i32, i32)> {
     let away = |(k, l): &(i32, i32)| (lattice.node(*k, *l) - place).norm_squared();
     let mut node = (lattice.columns / 2, lattice.rows / 2);
@@ -85,8 +85,7 @@ mod tests {
     use crate::model::small_camera as camera;
     use crate::model::{Packing, Parity};
 
-    /// Every micro-lens of a part is one of the whole, at the same place, with the same focal length and distance to the
-    /// sensor.
+    /// Every micro-lens of a part is one of the whole, with the same position, focal length and distance to the sensor.
     #[test]
     fn a_part_of_an_array_has_the_micro_lenses_of_the_whole() {
         let mut whole = camera();
@@ -98,7 +97,7 @@ mod tests {
         ] {
             let lattice = Lattice { packing: Packing::HexagonalRows(parity), columns, rows };
             let mut known = PlenopticCamera { lattice, ..whole.clone() };
-            // What was found of it is 0.1 pitches off.
+            // The measured part is off by 0.1 pitches.
             let off = whole.lattice.node(20 + right, 18 + down) - lattice.node(10, 6);
             known.mla.offset_mm =
                 whole.mla.place_mm(off).xy() + Vector2::new(0.1, -0.1) * whole.mla.pitch_mm;

@@ -1,4 +1,4 @@
-//! The checkerboard and its poses.
+//! Checkerboard and its poses.
 
 use clap::ValueEnum;
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -7,61 +7,61 @@ use serde::{Deserialize, Serialize, Serializer};
 use super::checks::positive;
 use crate::error::{Error, Result};
 
-/// The largest number of inner corners along a side of a board.
+/// Largest number of inner corners along a side of a board.
 const MAX_BOARD_CORNERS: i32 = 10_000;
 
-/// Edges of squares of the same board, as stated twice, differ by less than this part.
+/// Largest relative difference between the edges of squares of one board, as stated twice.
 const SAME_SQUARE: f64 = 0.01;
 
-/// A checkerboard, by its inner corners.
+/// Checkerboard, described by its inner corners.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Board {
-    /// Inner corners along a row.
+    /// Number of inner corners along a row.
     pub columns: i32,
-    /// Inner corners along a column.
+    /// Number of inner corners along a column.
     pub rows: i32,
     /// Edge of a square, mm.
     pub square_mm: f64,
 }
 
 impl Board {
-    /// Number of inner corners.
+    /// Returns the number of inner corners.
     #[must_use]
     pub fn corners(&self) -> i32 {
         self.columns * self.rows
     }
 
-    /// Position of corner `row · columns + column` in the board frame, mm: x along the columns, y
-    /// along the rows, z = 0.
+    /// Returns the position of corner `row · columns + column` in the board frame, mm: x along the columns, y along the rows, z
+    /// = 0.
     #[must_use]
     pub fn point_mm(&self, corner: i32) -> Point3<f64> {
-        // Of a board without columns nothing is asked that means anything.
+        // This only avoids a division by zero: a board without columns has no corners.
         let columns = self.columns.max(1);
         let (row, column) = (corner.div_euclid(columns), corner.rem_euclid(columns));
         Point3::new(f64::from(column) * self.square_mm, f64::from(row) * self.square_mm, 0.0)
     }
 
-    /// The corners at its four corners, mm.
+    /// Returns the inner corners at the four corners of the board, mm.
     #[must_use]
     pub fn outer_corners_mm(&self) -> [Point3<f64>; 4] {
         let (last_column, last) = (self.columns - 1, self.corners() - 1);
         [0, last_column, last - last_column, last].map(|corner| self.point_mm(corner))
     }
 
-    /// Its middle, mm.
+    /// Returns the middle of the board, mm.
     #[must_use]
     pub fn middle_mm(&self) -> Point3<f64> {
         Point3::from(self.point_mm(self.corners() - 1).coords / 2.0)
     }
 
-    /// From the first corner to the last, mm.
+    /// Returns the distance from the first corner to the last, mm.
     #[must_use]
     pub fn diagonal_mm(&self) -> f64 {
         self.point_mm(self.corners() - 1).coords.norm()
     }
 
-    /// Whether a board stated elsewhere is this one: edges of squares that were measured twice differ by less than 1 %.
+    /// Returns true if another board is the same: edges of squares that were measured twice differ by less than 1 %.
     #[must_use]
     pub fn is_same(&self, other: &Self) -> bool {
         let of = |board: &Self| (board.columns, board.rows);
@@ -69,7 +69,7 @@ impl Board {
             && (self.square_mm - other.square_mm).abs() <= SAME_SQUARE * self.square_mm
     }
 
-    /// An error unless the board has corners and a size.
+    /// Returns an error unless the board has corners and a size.
     pub fn validate(&self) -> Result<()> {
         let possible = 2..=MAX_BOARD_CORNERS;
         if !possible.contains(&self.columns) || !possible.contains(&self.rows) {
@@ -83,45 +83,44 @@ impl Board {
     }
 }
 
-/// By how much a board is not the flat grid that it is meant to be, the same in all frames.
+/// Deviation of a board from a flat grid of squares, the same in all frames.
 ///
 /// With (x, y) from corner 0, and ξ and η from −1 to 1 over the corners along x and y, a corner is at
 ///
 /// (x (1 + aspect/2), y (1 − aspect/2), sag_x ξ² + sag_y η² + twist ξη)
 ///
-/// in the board frame, whose z points away from the camera. All is 0 for a flat board.
+/// in the board frame, whose z points away from the camera. All parameters are 0 for a flat board.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BoardShape {
-    /// How much further away the ends of the rows are than their middle, mm.
+    /// Distance of the ends of the rows behind their middle, mm.
     pub sag_x_mm: f64,
-    /// The same of the columns, mm.
+    /// Distance of the ends of the columns behind their middle, mm.
     pub sag_y_mm: f64,
-    /// How much further away the first and the last corner are than the middle, and how much nearer the other
-    /// two, mm.
+    /// Distance of the first and the last corner behind the middle, mm; the other two are nearer by the same distance.
     pub twist_mm: f64,
-    /// By which fraction squares are longer along x than along y.
+    /// Fraction by which squares are longer along x than along y.
     pub aspect: f64,
 }
 
-/// A board as it is: what it is meant to be, and its shape.
+/// Board with its shape.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BentBoard {
-    /// The flat grid of its corners.
+    /// Flat grid of its corners.
     pub board: Board,
-    /// By how much it differs from that.
+    /// Deviation from the flat grid.
     pub shape: BoardShape,
 }
 
 impl BentBoard {
-    /// The largest of sag and twist, mm.
+    /// Returns the largest of sag and twist, mm.
     #[must_use]
     pub fn bend_mm(&self) -> f64 {
         let BoardShape { sag_x_mm, sag_y_mm, twist_mm, .. } = self.shape;
         [sag_x_mm, sag_y_mm, twist_mm].into_iter().map(f64::abs).fold(0.0, f64::max)
     }
 
-    /// Place of a corner in the board frame, mm, by the formula of [`BoardShape`].
+    /// Returns the position of a corner in the board frame, mm, by the formula of [`BoardShape`].
     #[must_use]
     pub fn point_mm(&self, corner: i32) -> Point3<f64> {
         let BoardShape { sag_x_mm, sag_y_mm, twist_mm, aspect } = self.shape;
@@ -131,11 +130,11 @@ impl BentBoard {
         Point3::new(flat.x * (1.0 + aspect / 2.0), flat.y * (1.0 - aspect / 2.0), z)
     }
 
-    /// By how much its corners are moved in the mean by a small change of each parameter of its shape, mm per
-    /// unit of the parameter, in the board frame; in the order of [`Parameter::SHAPE`](super::Parameter::SHAPE).
+    /// Returns the mean displacement of the corners due to a small change of each shape parameter, mm per unit of the
+    /// parameter, in the board frame; in the order of [`Parameter::SHAPE`](super::Parameter::SHAPE).
     #[must_use]
     pub fn mean_motion_mm(&self) -> [Vector3<f64>; 4] {
-        // The mean of ξ² over n equidistant values from −1 to 1.
+        // This is the mean of ξ² over n equidistant values from −1 to 1.
         let square = |n: i32| f64::from(n + 1) / f64::from(3 * (n - 1));
         let middle = self.board.middle_mm() / 2.0;
         [
@@ -153,40 +152,40 @@ impl From<Board> for BentBoard {
     }
 }
 
-/// A frame and the pose of its board.
+/// Frame and the pose of its board.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FramePose {
     /// Number of the frame.
     pub frame: u32,
-    /// Takes points of the board frame into the camera frame, mm.
+    /// Transformation from the board frame to the camera frame, mm.
     #[serde(serialize_with = "as_vectors")]
     pub camera_from_board: Isometry3<f64>,
 }
 
-/// Rotation vector, rad, and translation, mm.
+/// Writes rotation vector, rad, and translation, mm.
 fn as_vectors<S: Serializer>(pose: &Isometry3<f64>, to: S) -> std::result::Result<S::Ok, S::Error> {
     let rotation: [f64; 3] = pose.rotation.scaled_axis().into();
     let translation: [f64; 3] = pose.translation.vector.into();
     (rotation, translation).serialize(to)
 }
 
-/// What a set of frames is for.
+/// Purpose of a set of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Subset {
-    /// Boards to calibrate with.
+    /// Boards of the calibration.
     Calibration,
-    /// Boards to evaluate with.
+    /// Boards of the evaluation.
     Evaluation,
-    /// A board moved along the optical axis.
+    /// Board moved along the optical axis.
     Translation,
 }
 
 impl Subset {
-    /// All of them.
+    /// All subsets.
     pub const ALL: [Self; 3] = [Self::Calibration, Self::Evaluation, Self::Translation];
 
-    /// The name in files.
+    /// Returns the name in files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

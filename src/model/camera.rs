@@ -1,4 +1,4 @@
-//! The camera model's parameters as plain values.
+//! Parameters of the camera model as plain values.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -6,30 +6,32 @@ use super::edge_spread::EdgeSpread;
 use super::lattice::{Configuration, Lattice};
 use super::sensor::Sensor;
 
-/// The main lens: a thin lens with Brown-Conrady distortion of the image point, in mm, and a curved field.
-/// A thick lens does the same, with the origin at its image-side principal point, if all objects are moved
-/// along z by the distance between its principal planes.
+/// Main lens: a thin lens with Brown-Conrady distortion of the image point, in mm, and field curvature. The model also
+/// describes a thick lens with the origin at its image-side principal point, if all objects are moved along z by the distance
+/// between its principal planes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MainLens {
-    /// F, mm: what it is for light that fills the aperture of the images.
+    /// Focal length F, mm, for light that fills the aperture of the images.
     pub focal_length_mm: f64,
-    /// Q₁, Q₂, Q₃ in mm⁻², mm⁻⁴, mm⁻⁶.
+    /// Radial distortion Q₁, Q₂, Q₃ in mm⁻², mm⁻⁴, mm⁻⁶.
     pub radial: [f64; 3],
-    /// P₁, P₂ in mm⁻¹.
+    /// Tangential distortion P₁, P₂ in mm⁻¹.
     pub tangential: [f64; 2],
-    /// κ, mm⁻¹: off the axis by r, images are nearer to the lens by (κ + κ_m |m|) r², at the magnification m.
+    /// Field curvature κ, mm⁻¹: images at the distance r from the axis are nearer to the lens by (κ + κ_m |m|) r², at the
+    /// magnification m.
     pub field_curvature_per_mm: f64,
-    /// κ_m, mm⁻¹: the astigmatism of a lens, and with it the curvature, changes with the distance of the object.
+    /// Growth κ_m of the field curvature with the magnification, mm⁻¹: the astigmatism of a lens, and with it the curvature,
+    /// changes with the distance of the object.
     pub field_curvature_growth_per_mm: f64,
-    /// P = (e_x, e_y, e_z), mm: centre of the exit pupil in the camera frame, where the light of every
-    /// micro-image comes from; e_z is negative towards the array. The paper's lies in the lens, at 0.
+    /// Centre P = (e_x, e_y, e_z) of the exit pupil in the camera frame, mm, the origin of the light of every micro-image; e_z
+    /// is negative towards the array. In the paper it lies in the lens, at 0.
     pub exit_pupil_mm: Vector3<f64>,
-    /// What the lens was set to; recorded only, the model does not use it.
+    /// Setting of the lens; recorded only, the model does not use it.
     pub setting: Option<LensSetting>,
 }
 
 impl MainLens {
-    /// The lens of the paper without distortion: thin, its pupil in the lens, its field flat.
+    /// Creates the lens of the paper without distortion: thin, with its pupil in the lens and a flat field.
     #[must_use]
     pub fn thin(focal_length_mm: f64) -> Self {
         Self {
@@ -43,14 +45,14 @@ impl MainLens {
         }
     }
 
-    /// Whether images off the axis are nearer to the lens, or further away.
+    /// Returns true if the field is curved: images off the axis are nearer to the lens, or further away.
     #[must_use]
     pub fn has_curved_field(&self) -> bool {
         self.field_curvature_per_mm != 0.0 || self.field_curvature_growth_per_mm != 0.0
     }
 
-    /// p: diameter of the exit pupil over that of the entrance pupil, 1 + e_z/F. The one is the image of
-    /// the other, so that by Newton's equation the exit pupil lies pF before the rear focal point.
+    /// Returns the pupil magnification p = 1 + e_z/F, the ratio of the diameters of exit pupil and entrance pupil. One is the
+    /// image of the other, so that by Newton's equation the exit pupil lies pF before the rear focal point.
     #[must_use]
     pub fn pupil_magnification(&self) -> f64 {
         1.0 + self.exit_pupil_mm.z / self.focal_length_mm
@@ -66,59 +68,57 @@ pub struct LensSetting {
     pub focus_distance_mm: f64,
 }
 
-/// The micro-lens array and the sensor behind it. Distances are measured along the optical axis, at
-/// the centre of the array.
+/// Micro-lens array and the sensor behind it. Distances are measured along the optical axis, at the centre of the array.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MicroLensArray {
-    /// (u₀, v₀), px: where the optical axis meets the sensor.
+    /// Principal point (u₀, v₀), px, where the optical axis meets the sensor.
     pub principal_point_px: Vector2<f64>,
-    /// d: array to sensor, mm.
+    /// Distance d from array to sensor, mm.
     pub mla_to_sensor_mm: f64,
-    /// θx, θy, θz, rad: the array is rotated by Rz·Ry·Rx.
+    /// Rotation θx, θy, θz of the array by Rz·Ry·Rx, rad.
     pub rotation_rad: Vector3<f64>,
-    /// t_x, t_y, mm: centre of the array in the camera frame.
+    /// Centre t_x, t_y of the array in the camera frame, mm.
     pub offset_mm: Vector2<f64>,
-    /// D: main lens to array, mm.
+    /// Distance D from main lens to array, mm.
     pub lens_to_mla_mm: f64,
-    /// ΔC: distance between neighbouring micro-lenses along x, mm.
+    /// Distance ΔC between neighbouring micro-lenses along x, mm.
     pub pitch_mm: f64,
     /// Pitch along y over pitch along x; 1 for a regular lattice.
     pub pitch_ratio: f64,
-    /// f₁ … f_I, mm; empty for an array of pinholes.
+    /// Focal lengths f₁ … f_I, mm; empty for an array of pinholes.
     pub focal_lengths_mm: Vec<f64>,
 }
 
-/// A camera, calibrated or to be refined: the 16 + I parameters of the paper, the curvature of the field,
-/// the exit pupil, and the ratio of the two pitches.
+/// Calibrated or initial camera: the 16 + I parameters of the paper, the field curvature, the exit pupil, and the ratio of the
+/// two pitches.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlenopticCamera {
-    /// The image sensor.
+    /// Image sensor.
     pub sensor: Sensor,
     /// Indices and packing of the micro-lenses.
     pub lattice: Lattice,
-    /// The main lens.
+    /// Main lens.
     pub main_lens: MainLens,
-    /// The micro-lens array.
+    /// Micro-lens array.
     pub mla: MicroLensArray,
-    /// How its edges are blurred, as far as it is known.
+    /// Aperture ratio and point spread, as far as they are known.
     pub edge_spread: EdgeSpread,
 }
 
 impl PlenopticCamera {
-    /// Number I of lens types.
+    /// Returns the number I of lens types.
     #[must_use]
     pub fn lens_types(&self) -> usize {
         self.mla.focal_lengths_mm.len()
     }
 
-    /// Index of the lens type of micro-lens (k, l), from 0.
+    /// Returns the index of the lens type of micro-lens (k, l), from 0.
     #[must_use]
     pub fn lens_type(&self, k: i32, l: i32) -> usize {
         self.lattice.lens_type(k, l, self.lens_types())
     }
 
-    /// Galilean or Keplerian, by comparing the micro-lenses' focal lengths with d; `None` for a
-    /// pinhole array.
+    /// Returns Galilean or Keplerian, from the focal lengths of the micro-lenses and d; `None` for a pinhole array.
     #[must_use]
     pub fn configuration(&self) -> Option<Configuration> {
         let f = self.mla.focal_lengths_mm.iter().copied().reduce(f64::max)?;
@@ -131,14 +131,14 @@ impl PlenopticCamera {
         })
     }
 
-    /// D + e_z: exit pupil to array, mm.
+    /// Returns the distance D + e_z from exit pupil to array, mm.
     #[must_use]
     pub fn pupil_to_mla_mm(&self) -> f64 {
         self.mla.lens_to_mla_mm + self.main_lens.exit_pupil_mm.z
     }
 
-    /// Δc: distance between neighbouring micro-image centres, px, the geometric mean of both axes: Eq. (mlinterdist) with
-    /// distances from the exit pupil, ΔC √(pitch ratio) (D + e_z + d)/(D + e_z).
+    /// Returns the distance Δc between neighbouring micro-image centres, px, as the geometric mean of both axes:
+    /// Eq. (mlinterdist) with distances from the exit pupil, ΔC √(pitch ratio) (D + e_z + d)/(D + e_z).
     #[must_use]
     pub fn micro_image_pitch_px(&self) -> f64 {
         let (mla, to_pupil) = (&self.mla, self.pupil_to_mla_mm());
@@ -147,7 +147,7 @@ impl PlenopticCamera {
     }
 }
 
-/// A small camera of three lens types, for tests.
+/// Creates a small camera of three lens types, for tests.
 #[cfg(test)]
 pub(crate) fn small_camera() -> PlenopticCamera {
     use super::lattice::{Packing, Parity};

@@ -1,4 +1,4 @@
-//! Whether a camera is possible.
+//! Checks of the values of a camera.
 
 use std::f64::consts::TAU;
 
@@ -8,11 +8,11 @@ use super::lattice::{check_array_size, check_lens_types};
 use super::parameters::Parameter;
 use crate::error::{Error, Result};
 
-/// No value of a camera is larger, and no positive one smaller than its reciprocal, in whatever unit.
+/// Largest value of a camera in any unit; its reciprocal is the smallest positive one.
 const LARGEST: f64 = 1e100;
 
 impl PlenopticCamera {
-    /// Checks all values; an error names the one that is not possible.
+    /// Checks all values; an error names an impossible one.
     pub fn validate(&self) -> Result<()> {
         self.sensor.validate()?;
         self.edge_spread.validate()?;

@@ -1,4 +1,4 @@
-//! A camera as stored in files: `camera.json` and simulation files.
+//! Camera as stored in files: `camera.json` and simulation files.
 
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -9,14 +9,14 @@ use super::lattice::{Lattice, LatticeKind, Packing, Parity};
 use super::sensor::Sensor;
 use crate::quantity::Estimate;
 
-/// A camera as stored in files.
+/// Camera as stored in files.
 #[derive(Serialize, Deserialize)]
 struct CameraFields {
     sensor: Sensor,
     main_lens: MainLensFile,
     principal_point_px: [f64; 2],
     micro_lens_array: ArrayFile,
-    /// Left out where it is not known, like the aperture ratio.
+    /// Point spread; omitted if it is not known, like the aperture ratio.
     #[serde(alias = "point_spread", skip_serializing_if = "Option::is_none")]
     point_spread_px2: Option<Estimate>,
 }
@@ -43,7 +43,7 @@ struct MainLensFile {
     q3_per_mm6: f64,
     p1_per_mm: f64,
     p2_per_mm: f64,
-    /// 0 in files from before there was one; likewise the exit pupil.
+    /// Field curvature; 0 in files without it, like the exit pupil.
     #[serde(default)]
     field_curvature_per_mm: f64,
     #[serde(default)]
@@ -52,7 +52,7 @@ struct MainLensFile {
     exit_pupil_mm: [f64; 3],
     #[serde(skip_serializing_if = "Option::is_none")]
     f_number: Option<f64>,
-    /// Left out when the lens was focused at infinity or the setting is not known.
+    /// Focus distance; omitted if the lens was focused at infinity or the setting is not known.
     #[serde(skip_serializing_if = "Option::is_none")]
     focus_distance_mm: Option<f64>,
 }
@@ -63,7 +63,7 @@ struct ArrayFile {
     lattice: LatticeKind,
     columns: i32,
     rows: i32,
-    /// Of a hexagonal lattice.
+    /// Parity of the shifted rows (columns) of a hexagonal lattice.
     #[serde(skip_serializing_if = "Option::is_none")]
     shifted: Option<Parity>,
     lens_to_mla_mm: f64,
@@ -166,7 +166,7 @@ impl TryFrom<CameraFields> for PlenopticCamera {
 mod tests {
     use super::*;
 
-    /// The shipped camera with another lattice.
+    /// Creates the shipped camera with another lattice.
     fn camera(lattice: &str, shifted: Option<&str>) -> Result<PlenopticCamera, String> {
         let text = include_str!("../../data/synthetic/truth/camera.json");
         let mut value: serde_json::Value = serde_json::from_str(text).unwrap();

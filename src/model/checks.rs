@@ -1,8 +1,8 @@
-//! Checks that several values share.
+//! Checks shared by several values.
 
 use crate::error::{Error, Result};
 
-/// An error naming the value unless it is positive and finite.
+/// Returns an error that names the value unless it is positive and finite.
 pub(crate) fn positive(value: f64, name: &str) -> Result<()> {
     if value.is_finite() && value > 0.0 {
         Ok(())

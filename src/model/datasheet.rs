@@ -1,5 +1,4 @@
-//! What is known about a camera before it is calibrated: its datasheet, and its internal
-//! parameters.
+//! Values of a camera that are known before its calibration: the datasheet and the internal parameters.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,29 +13,29 @@ use super::tilt_gradient::TiltGradient;
 use crate::error::{Error, Result};
 use crate::quantity::Estimate;
 
-/// Lenses that do not distort see at most this off the axis, as a tangent: 63 degrees.
+/// Largest tangent of the angle off the axis for lenses without distortion: 63 degrees.
 const WIDEST: f64 = 2.0;
 
-/// What the datasheet says about a camera: the starting point of a calibration.
+/// Datasheet values of a camera: the start of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Datasheet {
-    /// The image sensor.
+    /// Image sensor.
     pub sensor: Sensor,
     /// Focal length F of the main lens, mm.
     pub focal_length_mm: f64,
     /// Distance h between the sensor and the plane in focus, mm; infinite is allowed.
     pub focus_distance_mm: f64,
-    /// F-number N that the main lens was set to.
+    /// F-number N of the main lens setting.
     pub f_number: f64,
     /// Galilean, Keplerian or unfocused.
     pub configuration: Configuration,
     /// Packing of the micro-lenses.
     pub lattice_kind: LatticeKind,
-    /// Number of micro-lenses along a row and along a column, where it is stated.
+    /// Number of micro-lenses along a row and along a column, if stated.
     pub array_size: Option<(i32, i32)>,
     /// Number I of lens types; 0 for an array of pinholes.
     pub lens_types: usize,
-    /// Distance between neighbouring micro-image centres, px, where it is stated.
+    /// Distance between neighbouring micro-image centres, px, if stated.
     pub micro_image_pitch_px: Option<f64>,
 }
 
@@ -44,40 +43,39 @@ pub struct Datasheet {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InternalParameters {
-    /// |m|, mm: growth of the micro-image radius with 1/N, for small pupils.
+    /// Slope |m| of the micro-image radius over 1/N, for small pupils, mm.
     pub m_mm: f64,
-    /// q'ᵢ, mm, by lens type.
+    /// Internal parameters q'ᵢ by lens type, mm.
     pub q_prime_mm: Vec<f64>,
-    /// Distance Δc between neighbouring micro-image centres, mm, where it was measured.
+    /// Distance Δc between neighbouring micro-image centres, mm, if measured.
     pub micro_image_pitch_mm: Option<f64>,
-    /// σ of |m|, mm, where it is known.
+    /// σ of |m|, mm, if known.
     pub m_std_dev_mm: Option<f64>,
-    /// σ of each q'ᵢ, mm; empty where they are not known.
+    /// σ of each q'ᵢ, mm; empty if not known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub q_prime_std_dev_mm: Vec<f64>,
-    /// How much more than 1/N the pupil's picture grows, times N²: 0 for a thin lens, see
+    /// Coefficient g, times 1/N², of the relative growth of the pupil image beyond |m|/N: 0 for a thin lens, see
     /// [`Self::pupil_radius_mm`].
     #[serde(default)]
     pub pupil_growth: f64,
-    /// The fall-off of light, where it was measured.
+    /// Angular response, if measured.
     pub fall_off: Option<FallOff>,
-    /// The tilt gradient of the array, where it was measured.
+    /// Tilt gradient of the array, if measured.
     #[serde(alias = "lean")]
     pub tilt_gradient: Option<TiltGradient>,
-    /// The point spread, where it was measured.
+    /// Point spread, if measured.
     #[serde(alias = "point_spread")]
     pub point_spread_px2: Option<Estimate>,
-    /// The aperture ratio that q'ᵢ go with, where it is known; 1 otherwise. White images show its product with qᵢ = q'ᵢ − Δc/2.
+    /// Aperture ratio to which q'ᵢ belong, if known; otherwise 1. White images show its product with qᵢ = q'ᵢ − Δc/2.
     #[serde(alias = "fill_factor")]
     pub aperture_ratio: Option<Estimate>,
-    /// Black and saturation level of the images, where they are known; otherwise samples are linear
-    /// from 0 to full scale.
+    /// Black and saturation level of the images, if known; otherwise samples are linear from 0 to full scale.
     pub levels: Option<SampleLevels>,
 }
 
 impl Datasheet {
-    /// Number of micro-lenses along a row and along a column: as stated, or else as many as the
-    /// indices of the centres reach.
+    /// Returns the number of micro-lenses along a row and along a column, as stated; if it is not stated, as required by the
+    /// indices of the centres.
     #[must_use]
     pub fn array_size_by(&self, centers: &[MicroImageCenter]) -> (i32, i32) {
         self.array_size.unwrap_or_else(|| {
@@ -86,7 +84,7 @@ impl Datasheet {
         })
     }
 
-    /// Checks all values; an error names the one that is not possible.
+    /// Checks all values; an error names an impossible one.
     pub fn validate(&self) -> Result<()> {
         self.sensor.validate()?;
         if let Some((columns, rows)) = self.array_size {
@@ -122,27 +120,27 @@ impl Datasheet {
 }
 
 impl InternalParameters {
-    /// Radius of the main lens's pupil on the sensor, seen through the middle of a micro-lens, at f-number N, mm:
-    /// |m|/N · (1 + g/N²). By Abbe's sine condition a real lens has g = (m/d)²/2.
+    /// Returns the radius of the exit pupil on the sensor, seen through the middle of a micro-lens, at f-number N, mm: |m|/N ·
+    /// (1 + g/N²). By Abbe's sine condition a real lens has g = (m/d)²/2.
     #[must_use]
     pub fn pupil_radius_mm(&self, f_number: f64) -> f64 {
         self.m_mm.abs() / f_number * (1.0 + self.pupil_growth / f_number.powi(2))
     }
 
-    /// Variance of the point spread along an axis, px²; 0 where it is not known.
+    /// Returns the variance of the point spread along an axis, px²; 0 if it is not known.
     #[must_use]
     pub fn point_spread_px2(&self) -> f64 {
         self.point_spread_px2.map_or(0.0, |spread| spread.value)
     }
 
-    /// φ, the aperture ratio that q'ᵢ go with.
+    /// Returns the aperture ratio φ to which q'ᵢ belong; 1 if it is not known.
     #[must_use]
     pub fn aperture_ratio(&self) -> f64 {
         self.aperture_ratio.map_or(1.0, |ratio| ratio.value)
     }
 
-    /// The same with another aperture ratio φ, for the micro-image pitch Δc, mm: what white images show, φqᵢ = φ(q'ᵢ − Δc/2)
-    /// and how the discs grow over the image, stays.
+    /// Returns the parameters with another aperture ratio φ, for the micro-image pitch Δc, mm. The observable quantities of
+    /// white images stay the same: φqᵢ = φ(q'ᵢ − Δc/2) and the growth of the discs over the image.
     #[must_use]
     pub fn with_aperture_ratio(&self, aperture_ratio: Estimate, pitch_mm: f64) -> Self {
         let change = self.aperture_ratio() / aperture_ratio.value;
@@ -160,7 +158,7 @@ impl InternalParameters {
         }
     }
 
-    /// Checks all values; an error names the one that is not possible, or a wrong number of q'.
+    /// Checks all values; an error names an impossible one, or a wrong number of q'.
     pub fn validate(&self, lens_types: usize) -> Result<()> {
         positive(self.m_mm, "the internal parameter |m| (m_mm)")?;
         for (i, &q) in self.q_prime_mm.iter().enumerate() {

@@ -1,46 +1,43 @@
-//! Aperture ratio and point spread: by them, blur and edges differ from those of ideal micro-lenses and pixels. The
-//! projection of points does not depend on either; depth from blur does.
+//! Aperture ratio and point spread, which change blur and edges with respect to ideal micro-lenses and pixels. The projection
+//! of points does not depend on either; depth from blur does.
 
 use crate::error::{Error, Result};
 use crate::quantity::Estimate;
 
-/// The blur of a camera beside its geometry.
+/// Blur of a camera in addition to its geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct EdgeSpread {
-    /// The aperture ratio φ: lenslet diameter over pitch. What is left of the pitch is opaque, so that blur and
-    /// micro-images are smaller. Hexagonal apertures without gaps have the area of circles with φ = 1.05. `None` where it
-    /// is not known.
+    /// Aperture ratio φ: lenslet diameter over pitch. The rest of the pitch is opaque, so that blur and micro-images are
+    /// smaller. Hexagonal apertures without gaps have the area of circles with φ = 1.05. `None` if it is not known.
     pub aperture_ratio: Option<Estimate>,
-    /// The point spread s²: the variance, along an axis, px², of what diffraction, aberrations, and light and charge that
-    /// leave their pixel do to a point; modelled as normal and isotropic, the same everywhere. `None` where it is not
-    /// known.
+    /// Point spread s²: the variance, along an axis, px², of the blur of a point by diffraction, aberrations, and light and
+    /// charge that leave their pixel; modelled as normal, isotropic and uniform. `None` if it is not known.
     pub point_spread_px2: Option<Estimate>,
 }
 
-/// How well the model of a blurred corner determines the aperture ratio, relative: the σ of an estimate from corners is
-/// not less.
+/// Relative σ of the aperture ratio due to the model of a blurred corner: the least σ of an estimate from corners.
 pub(crate) const APERTURE_RATIO_MODEL: f64 = 3e-3;
-/// Aperture ratios that are possible.
+/// Range of possible aperture ratios.
 const APERTURE_RATIOS: std::ops::RangeInclusive<f64> = 0.01..=1.3;
-/// Point spreads beyond this hide all micro-images, px².
+/// Largest point spread, px²: a larger one hides all micro-images.
 const MOST_PX2: f64 = 100.0;
 
 impl EdgeSpread {
-    /// The standard deviation of blurred light along an axis over the blur radius ρ of full apertures, φ/2: the standard
-    /// deviation of a uniform disc is half its radius.
+    /// Returns the standard deviation of blurred light along an axis over the blur radius ρ of full apertures, φ/2: the
+    /// standard deviation of a uniform disc is half its radius.
     #[must_use]
     pub fn spread_per_radius(&self) -> Option<Estimate> {
         self.aperture_ratio.map(|ratio| ratio.scaled(0.5))
     }
 
-    /// Checks both values; an error names the one that no camera has.
+    /// Checks both values; an error names an impossible one.
     pub(crate) fn validate(&self) -> Result<()> {
         self.aperture_ratio.as_ref().map_or(Ok(()), check_aperture_ratio)?;
         self.point_spread_px2.as_ref().map_or(Ok(()), check_point_spread)
     }
 }
 
-/// The aperture ratio of a camera by its estimate: apertures end where their neighbours begin, so it is at most 1.
+/// Limits an estimate of the aperture ratio to 1: apertures end at their neighbours.
 #[must_use]
 pub fn at_most_full(aperture_ratio: &Estimate) -> Estimate {
     Estimate { value: aperture_ratio.value.min(1.0), ..*aperture_ratio }

@@ -1,36 +1,36 @@
-//! How light falls off with its angle, over the sensor and inside micro-images.
+//! Angular response: fall-off of light with its angle, over the sensor and inside micro-images.
 
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 
-/// The fall-off of light as white images show it, whatever its law.
+/// Angular response measured on white images, for any law.
 ///
-/// Light that comes through the point M of a micro-lens to the point y of its micro-image, both from their
-/// middles, changes by exp(−g(c)·(y − M) − H |y − M|²/2), with the gradient g(c) = G (c − c₀) for the
-/// micro-image at c. A law cosⁿ of the angle of incidence has G = n/d(D + e_z + d) and H = n/d²: light is more
-/// oblique further out on the sensor, and inside a micro-image. c₀ is where it arrives at a right angle.
+/// Light that passes the point M of a micro-lens and reaches the point y of its micro-image, both from their middles, changes
+/// by exp(−g(c)·(y − M) − H |y − M|²/2), with the gradient g(c) = G (c − c₀) for the micro-image at c. A law cosⁿ of the angle
+/// of incidence has G = n/d(D + e_z + d) and H = n/d²: light is more oblique further out on the sensor, and inside a
+/// micro-image. It arrives at a right angle at c₀.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FallOff {
-    /// G, px⁻².
+    /// Growth G of the gradient over the sensor, px⁻².
     pub growth_per_px2: f64,
-    /// Its σ, px⁻²; 0 where the law is assumed.
+    /// σ of G, px⁻²; 0 if the law is assumed.
     pub std_dev_per_px2: f64,
-    /// c₀, px.
+    /// Position c₀ with light at a right angle, px.
     pub middle_px: [f64; 2],
-    /// H, px⁻².
+    /// Fall-off H inside a micro-image, px⁻².
     pub within_per_px2: f64,
-    /// Its σ, px⁻²; 0 where it is assumed to be G (D + d)/d.
+    /// σ of H, px⁻²; 0 if H is assumed to be G (D + d)/d.
     pub within_std_dev_per_px2: f64,
 }
 
-/// H of cos⁴ with an array only 10 px from the sensor, px⁻².
+/// Largest |H|, px⁻²: H of cos⁴ with an array only 10 px from the sensor.
 const MOST_WITHIN: f64 = 0.04;
 
 impl FallOff {
-    /// The cos⁴ law of a sensor without any other: for d, from array to sensor, and for D + e_z + d, from
-    /// pupil to sensor, px.
+    /// Returns the cos⁴ law of an ideal sensor, for the distance d from array to sensor and D + e_z + d from pupil to sensor,
+    /// px.
     #[must_use]
     pub fn cos4(mla_to_sensor_px: f64, pupil_to_sensor_px: f64, middle_px: Vector2<f64>) -> Self {
         Self {
@@ -42,7 +42,7 @@ impl FallOff {
         }
     }
 
-    /// An error that names a value that no sensor has.
+    /// Returns an error that names an impossible value.
     pub(crate) fn validate(&self) -> Result<()> {
         let values = [
             ("growth_per_px2", self.growth_per_px2),
@@ -64,7 +64,7 @@ impl FallOff {
         }
     }
 
-    /// g of the micro-image at a place, px⁻¹.
+    /// Returns the gradient g of the micro-image at a position, px⁻¹.
     #[must_use]
     pub fn gradient(&self, place_px: &Vector2<f64>) -> Vector2<f64> {
         (place_px - Vector2::from(self.middle_px)) * self.growth_per_px2

@@ -1,7 +1,7 @@
-//! Lattices of micro-lenses: where node (k, l) lies and which lens type it has.
+//! Lattices of micro-lenses: position and lens type of node (k, l).
 //!
-//! The C++ core has the same few formulas in `plenocal/camera.hpp`, so that each side stands alone:
-//! the simulator must not depend on the core that it tests. A test compares the two.
+//! The C++ core contains the same formulas in `plenocal/camera.hpp`, since the simulator must not depend on the core that it
+//! tests. A test compares both.
 
 use std::fmt;
 
@@ -10,11 +10,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 
-/// How the micro-lenses are packed.
+/// Packing of the micro-lenses without the parity of its shifted rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LatticeKind {
-    /// A square lattice.
+    /// Square lattice.
     Orthogonal,
     /// Hexagonal with straight rows: every other row is shifted by half a pitch along u.
     HexagonalRows,
@@ -22,19 +22,19 @@ pub enum LatticeKind {
     HexagonalColumns,
 }
 
-/// How the micro-lenses are packed, and which rows (columns) of a hexagonal lattice are shifted.
+/// Packing of the micro-lenses with the parity of the shifted rows (columns) of a hexagonal lattice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Packing {
-    /// See [`LatticeKind::Orthogonal`].
+    /// Square lattice, see [`LatticeKind::Orthogonal`].
     Orthogonal,
-    /// See [`LatticeKind::HexagonalRows`]; rows of this parity are shifted by +½ pitch.
+    /// Straight rows, see [`LatticeKind::HexagonalRows`]; rows of this parity are shifted by +½ pitch.
     HexagonalRows(Parity),
-    /// See [`LatticeKind::HexagonalColumns`]; columns of this parity are shifted by +½ pitch.
+    /// Straight columns, see [`LatticeKind::HexagonalColumns`]; columns of this parity are shifted by +½ pitch.
     HexagonalColumns(Parity),
 }
 
 impl Packing {
-    /// A packing of this kind; only a hexagonal one has a parity.
+    /// Creates a packing of this kind; only a hexagonal one has a parity.
     #[must_use]
     pub fn new(kind: LatticeKind, shifted: Parity) -> Self {
         match kind {
@@ -44,7 +44,7 @@ impl Packing {
         }
     }
 
-    /// All packings of a kind.
+    /// Returns all packings of a kind.
     #[must_use]
     pub fn of_kind(kind: LatticeKind) -> &'static [Self] {
         match kind {
@@ -58,7 +58,7 @@ impl Packing {
         }
     }
 
-    /// Orthogonal or hexagonal, by rows or by columns.
+    /// Returns the kind: orthogonal, or hexagonal by rows or by columns.
     #[must_use]
     pub fn kind(self) -> LatticeKind {
         match self {
@@ -68,7 +68,7 @@ impl Packing {
         }
     }
 
-    /// The rows (columns) that are shifted; `None` for an orthogonal lattice.
+    /// Returns the parity of the shifted rows (columns); `None` for an orthogonal lattice.
     #[must_use]
     pub fn shifted(self) -> Option<Parity> {
         match self {
@@ -79,7 +79,7 @@ impl Packing {
 }
 
 impl LatticeKind {
-    /// The name used in files.
+    /// Returns the name used in files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -90,13 +90,13 @@ impl LatticeKind {
     }
 }
 
-/// Which rows (columns) of a hexagonal lattice are shifted by +½ pitch.
+/// Parity of the rows (columns) of a hexagonal lattice that are shifted by +½ pitch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Parity {
-    /// Those of even index.
+    /// Rows (columns) of even index.
     Even,
-    /// Those of odd index.
+    /// Rows (columns) of odd index.
     Odd,
 }
 
@@ -108,7 +108,7 @@ impl Parity {
         }
     }
 
-    /// Whether an index is of this parity.
+    /// Returns true if an index has this parity.
     #[must_use]
     pub fn holds(self, index: i32) -> bool {
         match self {
@@ -121,10 +121,10 @@ impl Parity {
 /// Distance between the straight rows of a hexagonal lattice, in pitches: √3/2.
 pub const ROW_DISTANCE: f64 = 0.866_025_403_784_438_6;
 
-/// A lattice of `columns` × `rows` nodes (k, l); k grows along u and l along v.
+/// Lattice of `columns` × `rows` nodes (k, l); k grows along u and l along v.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Lattice {
-    /// How it is packed.
+    /// Packing of the nodes.
     pub packing: Packing,
     /// Number of nodes along k.
     pub columns: i32,
@@ -146,26 +146,26 @@ impl fmt::Display for Lattice {
 }
 
 impl Lattice {
-    /// Orthogonal or hexagonal, by rows or by columns.
+    /// Returns the kind: orthogonal, or hexagonal by rows or by columns.
     #[must_use]
     pub fn kind(&self) -> LatticeKind {
         self.packing.kind()
     }
 
-    /// Number of nodes.
+    /// Returns the number of nodes.
     #[must_use]
     pub fn nodes(&self) -> usize {
         let count = |n: i32| usize::try_from(n).unwrap_or(0);
         count(self.columns) * count(self.rows)
     }
 
-    /// Whether the indices name a node.
+    /// Returns true if the indices name a node.
     #[must_use]
     pub fn contains(&self, k: i32, l: i32) -> bool {
         (0..self.columns).contains(&k) && (0..self.rows).contains(&l)
     }
 
-    /// Number of a node, counted row by row; `None` if the indices name none.
+    /// Returns the number of a node, counted row by row; `None` if the indices name none.
     #[must_use]
     pub fn index(&self, k: i32, l: i32) -> Option<usize> {
         if !self.contains(k, l) {
@@ -175,14 +175,12 @@ impl Lattice {
         Some(l.ok()? * columns.ok()? + k.ok()?)
     }
 
-    /// Position of node (k, l) in pitches along u and v, from the midpoint of the bounding box of
-    /// all nodes.
+    /// Returns the position of node (k, l) in pitches along u and v, from the midpoint of the bounding box of all nodes.
     #[must_use]
     pub fn node(&self, k: i32, l: i32) -> Vector2<f64> {
         let centred = |index: i32, count: i32| f64::from(index) - f64::from(count - 1) / 2.0;
         let shift = |row: i32, shifted: Parity| if shifted.holds(row) { 0.5 } else { 0.0 };
-        // Along the straight rows, of which there are `across`: shifted and unshifted rows together
-        // extend half a pitch further.
+        // `across` is the number of straight rows: shifted and unshifted rows together extend half a pitch further.
         let staggered = |index: i32, count: i32, row: i32, across: i32, shifted: Parity| {
             let mean_shift = if across > 1 { 0.25 } else { shift(0, shifted) };
             centred(index, count) + shift(row, shifted) - mean_shift
@@ -200,11 +198,10 @@ impl Lattice {
         }
     }
 
-    /// Index of the lens type of node (k, l), from 0.
+    /// Returns the index of the lens type of node (k, l), from 0.
     ///
-    /// Three types follow the unique 3-colouring of the hexagonal lattice; they are numbered so
-    /// that (0, 0) has type 0, and its successor along the straight rows (columns) type 1. With
-    /// fewer than three types, every node has type 0.
+    /// Three types follow the unique 3-colouring of the hexagonal lattice. They are numbered so that (0, 0) has type 0, and its
+    /// successor along the straight rows (columns) type 1. With fewer than three types, every node has type 0.
     #[must_use]
     pub fn lens_type(&self, k: i32, l: i32, types: usize) -> usize {
         if types < 3 {
@@ -224,25 +221,25 @@ impl Lattice {
     }
 }
 
-/// Where the main lens focuses with respect to the micro-lens array.
+/// Focus of the main lens with respect to the micro-lens array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Configuration {
-    /// Behind the array (and the sensor): f > d.
+    /// Focus behind the array (and the sensor): f > d.
     Galilean,
-    /// In front of the array: f < d.
+    /// Focus in front of the array: f < d.
     Keplerian,
-    /// On the array: f = d.
+    /// Focus on the array: f = d.
     Unfocused,
 }
 
-/// The largest number of micro-lenses along a side; beyond what any sensor has pixels for.
+/// Largest number of micro-lenses along a side, more than any sensor has pixels for.
 pub const MAX_MICRO_LENSES: i32 = 1 << 16;
 
-/// Every micro-image has its place in memory; an R12 has 26 000.
+/// Largest number of micro-lenses, since every micro-image takes memory; an R12 has 26 000.
 const MOST_IN_ALL: i64 = 1 << 24;
 
-/// An error unless an array can have these numbers of micro-lenses.
+/// Returns an error unless an array can have these numbers of micro-lenses.
 pub(crate) fn check_array_size(columns: i32, rows: i32) -> Result<()> {
     let possible = 1..=MAX_MICRO_LENSES;
     if possible.contains(&columns) && possible.contains(&rows) {
@@ -259,7 +256,7 @@ pub(crate) fn check_array_size(columns: i32, rows: i32) -> Result<()> {
     )))
 }
 
-/// An error unless the number of lens types is one that the lattice can have.
+/// Returns an error unless the lattice can have this number of lens types.
 pub(crate) fn check_lens_types(types: usize, kind: LatticeKind) -> Result<()> {
     match (types, kind) {
         (0 | 1, _) | (3, LatticeKind::HexagonalRows | LatticeKind::HexagonalColumns) => Ok(()),

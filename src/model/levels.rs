@@ -1,45 +1,43 @@
-//! The samples that stand for no light and for full pixels.
+//! Samples of pixels without light and of saturated pixels.
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 
-/// The samples of a camera between which light is linear, in grey levels of its files.
+/// Levels of a camera between which samples are linear in light, in grey levels of its files.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SampleLevels {
-    /// Bits of a sample in these files, 8 or 16. In files with others the levels are the same parts of
-    /// full scale.
+    /// Bits of a sample in these files, 8 or 16. In files with another number, the levels are the same fractions of full scale.
     pub bits: u32,
-    /// The black level: the mean sample of a pixel without light; 0 where it is not known.
+    /// Black level: the mean sample of a pixel without light; 0 if it is not known.
     pub black_level: f64,
-    /// Its σ, where it was measured.
+    /// σ of the black level, if measured.
     pub black_level_std_dev: Option<f64>,
-    /// The saturation level: pixels with this sample or a larger one are full. `None` at full
-    /// scale.
+    /// Saturation level: pixels with at least this sample are saturated. `None` if it is full scale.
     pub saturation_level: Option<f64>,
 }
 
-/// The largest sample of so many bits.
+/// Returns the largest sample of `bits` bits.
 pub(crate) fn full_scale(bits: u32) -> f64 {
     f64::from(bits).exp2() - 1.0
 }
 
 impl SampleLevels {
-    /// From 0 to full scale.
+    /// Creates levels from 0 to full scale.
     #[must_use]
     pub fn full_range(bits: u32) -> Self {
         Self { bits, black_level: 0.0, black_level_std_dev: None, saturation_level: None }
     }
 
-    /// Black level and, below full scale, saturation level as fractions of full scale.
+    /// Returns the black level and, if below full scale, the saturation level as fractions of full scale.
     #[must_use]
     pub fn parts(&self) -> (f64, Option<f64>) {
         let full = full_scale(self.bits);
         (self.black_level / full, self.saturation_level.map(|level| level / full))
     }
 
-    /// Checks all values; an error names the one that is not possible.
+    /// Checks all values; an error names an impossible one.
     pub(crate) fn validate(&self) -> Result<()> {
         if self.bits != 8 && self.bits != 16 {
             return Err(Error::invalid(format!(

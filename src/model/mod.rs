@@ -1,6 +1,5 @@
-//! The values that everything else works with: the camera, the board and its poses, the
-//! observations in images, and the scalar relations between them. Nothing here reads, solves or
-//! prints.
+//! Values shared by all modules: the camera, the board and its poses, the observations in images, and the scalar relations
+//! between them. Nothing here reads files, solves or prints.
 
 mod array_part;
 mod board;

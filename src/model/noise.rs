@@ -12,22 +12,22 @@ use crate::model::{BapFeature, MicroImageCenter};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Noise {
-    /// Of u and v of a feature.
+    /// Noise of u and v of a feature.
     pub uv_px: f64,
-    /// Of ρ.
+    /// Noise of ρ.
     pub rho_px: f64,
-    /// Of u and v of a centre.
+    /// Noise of u and v of a centre.
     pub centers_px: f64,
 }
 
 impl Default for Noise {
-    /// That of a good detector; the radius comes from a whole cluster and is therefore better.
+    /// Returns the noise of a good detector; the radius comes from a whole cluster and is therefore better.
     fn default() -> Self {
         Self { uv_px: 0.2, rho_px: 0.05, centers_px: 0.1 }
     }
 }
 
-/// Adds noise, observation by observation; the same seed gives the same noise.
+/// Source of noise for one observation after the other; the same seed gives the same noise.
 #[derive(Debug)]
 pub struct NoiseSource {
     generator: StdRng,
@@ -36,11 +36,11 @@ pub struct NoiseSource {
     centers: Normal<f64>,
 }
 
-/// More noise hides everything, and far more makes infinite numbers, px.
+/// Largest noise, px: more hides everything, and much more makes infinite numbers.
 const MOST_NOISE_PX: f64 = 1e4;
 
 impl Noise {
-    /// An error if a standard deviation is negative, not finite, or wider than any image.
+    /// Returns an error if a standard deviation is negative, not finite, or wider than any image.
     pub fn validate(&self) -> Result<()> {
         let Self { uv_px, rho_px, centers_px } = *self;
         match [uv_px, rho_px, centers_px].iter().find(|s| !(0.0..=MOST_NOISE_PX).contains(*s)) {
@@ -53,7 +53,7 @@ impl Noise {
 }
 
 impl NoiseSource {
-    /// An error if [`Noise::validate`] finds one.
+    /// Creates a source of noise; an error if [`Noise::validate`] returns one.
     pub fn new(noise: &Noise, seed: u64) -> Result<Self> {
         noise.validate()?;
         let normal = |std_dev: f64| {
@@ -69,7 +69,7 @@ impl NoiseSource {
         })
     }
 
-    /// A feature with noise.
+    /// Returns a feature with noise.
     pub fn feature(&mut self, feature: &BapFeature) -> BapFeature {
         let random = &mut self.generator;
         BapFeature {
@@ -80,7 +80,7 @@ impl NoiseSource {
         }
     }
 
-    /// A centre with noise.
+    /// Returns a centre with noise.
     pub fn center(&mut self, center: &MicroImageCenter) -> MicroImageCenter {
         let random = &mut self.generator;
         MicroImageCenter {

@@ -1,4 +1,4 @@
-//! What was observed in the images: micro-image centres and BAP features.
+//! Observations in images: micro-image centres and BAP features.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
@@ -12,11 +12,11 @@ pub struct MicroImageCenter {
     pub k: i32,
     /// Index along v.
     pub l: i32,
-    /// Position, px.
+    /// Position u, px.
     pub u_px: f64,
-    /// Position, px.
+    /// Position v, px.
     pub v_px: f64,
-    /// Standard deviation of u and of v, px, where it was measured.
+    /// Standard deviation of u and of v, px, if measured.
     pub std_dev_px: Option<f64>,
 }
 
@@ -31,61 +31,61 @@ pub struct BapFeature {
     pub k: i32,
     /// Index of the micro-image along v.
     pub l: i32,
-    /// Position, px.
+    /// Position u, px.
     pub u_px: f64,
-    /// Position, px.
+    /// Position v, px.
     pub v_px: f64,
-    /// Signed blur radius ρ of a micro-lens whose opening is as wide as the pitch, px, where it was measured.
+    /// Signed blur radius ρ of a micro-lens whose opening is as wide as the pitch, px, if measured.
     pub rho_px: Option<f64>,
-    /// Standard deviations of u and v, px, where they were measured.
+    /// Standard deviations of u and v, px, if measured.
     pub std_dev_px: Option<[f64; 2]>,
-    /// Correlation of the errors of u and v; 0 where it was not measured. Points in space use it, calibrations do not.
+    /// Correlation of the errors of u and v; 0 if it was not measured. Points in space use it, calibrations do not.
     pub correlation: f64,
-    /// Standard deviation of ρ, px, where it was measured.
+    /// Standard deviation of ρ, px, if measured.
     pub rho_std_dev_px: Option<f64>,
-    /// How far u and v move if what the detection takes from the white images is wrong, where that is known: px
-    /// per relative change of each of [`TAKEN_FROM_WHITES`], and per px² of the point spread.
+    /// Sensitivities of u and v to the quantities [`TAKEN_FROM_WHITES`], if known: px per relative change of each, and per px²
+    /// of the point spread.
     pub sensitivities_px: Option<[[f64; 2]; TAKEN]>,
-    /// The blur radius as the width of its edges shows it, where it was measured.
+    /// Blur radius from the width of its edges, if measured.
     pub blur: Option<MeasuredBlur>,
 }
 
-/// A blur radius that was measured by the width of edges. That of micro-lenses with an aperture ratio below 1 is smaller than ρ.
+/// Blur radius from the width of edges. If the aperture ratio is below 1, it is smaller than ρ.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredBlur {
-    /// φρ with the sign of ρ, px.
+    /// Blur radius φρ with the sign of ρ, px.
     pub radius_px: f64,
-    /// Its standard deviation, px, without what follows.
+    /// Standard deviation of the radius, px, without the shared error.
     pub std_dev_px: f64,
-    /// By how much it changes, px, with one standard deviation of how much wider edges of boards are than those of white
+    /// Change of the radius, px, due to one standard deviation of the excess edge variance of board images relative to white
     /// images: an error that all features share.
     pub shared_px: f64,
-    /// The aperture ratio that u, v and ρ of the feature were found with.
+    /// Aperture ratio assumed in the fit of u, v and ρ.
     pub aperture_ratio: f64,
 }
 
-/// Number of the quantities of white images that a corner's place depends on.
+/// Number of quantities from white images on which the position of a corner depends.
 pub const TAKEN: usize = 5;
-/// Their names: a, the radius of the main lens's pupil seen through the middle of a micro-lens; q'ᵢ; H, how light falls off
-/// inside a micro-image; the aperture ratio, with the qᵢ that white images show; and the variance of the point spread.
+/// Names of these quantities: radius a of the exit pupil seen through the middle of a micro-lens; q'ᵢ; angular response H
+/// inside a micro-image; aperture ratio, with the qᵢ that white images show; variance of the point spread.
 pub const TAKEN_FROM_WHITES: [&str; TAKEN] =
     ["pupil", "intercept", "fall_off", "aperture_ratio", "point_spread"];
 
-/// Their indices.
+/// Indices of the quantities in [`TAKEN_FROM_WHITES`].
 pub mod taken {
-    /// a.
+    /// Index of the pupil radius a.
     pub const PUPIL: usize = 0;
-    /// q'ᵢ.
+    /// Index of q'ᵢ.
     pub const INTERCEPT: usize = 1;
-    /// H.
+    /// Index of the angular response H.
     pub const FALL_OFF: usize = 2;
-    /// φ.
+    /// Index of the aperture ratio φ.
     pub const APERTURE_RATIO: usize = 3;
-    /// The variance of the point spread along an axis.
+    /// Index of the variance of the point spread along an axis.
     pub const POINT_SPREAD: usize = 4;
 }
 
-/// The observations of a calibration.
+/// Observations of a calibration.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Observations {
     /// Micro-image centres.
@@ -94,7 +94,7 @@ pub struct Observations {
     pub features: Vec<BapFeature>,
 }
 
-/// The smallest number of board corners that gives a pose.
+/// Smallest number of board corners that determines a pose.
 pub const MIN_CORNERS: usize = 4;
 
 impl Observations {
@@ -109,14 +109,14 @@ impl Observations {
         }
     }
 
-    /// Numbers of the frames, ascending.
+    /// Returns the numbers of the frames, ascending.
     #[must_use]
     pub fn frames(&self) -> Vec<u32> {
         self.features.iter().map(|f| f.frame).collect::<BTreeSet<_>>().into_iter().collect()
     }
 
-    /// Checks all observations; an error names the first that is impossible: not finite, outside
-    /// the array, the board or the image, or given twice; or a frame with too few corners.
+    /// Checks all observations; an error names the first impossible one: not finite, outside the array, the board or the image,
+    /// or given twice; or a frame with too few corners.
     pub fn validate(
         &self,
         sensor: &Sensor,
@@ -146,7 +146,7 @@ impl Observations {
 }
 
 impl BapFeature {
-    /// What this is an observation of.
+    /// Returns the subject of the observation.
     fn observed(&self) -> Observed {
         let Self { frame, corner, k, l, .. } = *self;
         Observed::Feature { frame, corner, k, l }
@@ -157,7 +157,7 @@ fn feature_text(f: &BapFeature) -> String {
     format!("corner {} in micro-image ({}, {}) of frame {}", f.corner, f.k, f.l, f.frame)
 }
 
-/// An error unless a feature is possible by itself.
+/// Returns an error unless a feature is possible by itself.
 fn check_feature(
     f: &BapFeature,
     sensor: &Sensor,
@@ -184,12 +184,12 @@ fn check_feature(
     Ok(())
 }
 
-/// An error unless an observation is the first of its kind.
+/// Returns an error unless an observation is the first of its kind.
 fn once(is_new: bool, what: impl Fn() -> String) -> Result<()> {
     if is_new { Ok(()) } else { Err(Error::invalid(format!("{} is given twice", what()))) }
 }
 
-/// Says which observation an error is about. A missing blur radius has a remedy of its own.
+/// Adds the observation to an error. The error of a missing blur radius stays, since it has its own remedy.
 fn of_observation(observation: Observed, error: Error) -> Error {
     match error {
         Error::Invalid(message) => Error::Observation { observation, message },
@@ -197,7 +197,7 @@ fn of_observation(observation: Observed, error: Error) -> Error {
     }
 }
 
-/// Checks micro-image centres; an error names the first that is impossible or given twice.
+/// Checks micro-image centres; an error names the first one that is impossible or given twice.
 pub(crate) fn check_centers(
     centers: &[MicroImageCenter],
     sensor: &Sensor,
@@ -215,11 +215,10 @@ pub(crate) fn check_centers(
     Ok(())
 }
 
-/// How far beyond the centres of the outermost pixels an observation may lie, px: half a pixel, and
-/// one for interpolation.
+/// Largest distance of an observation beyond the centres of the outermost pixels, px: half a pixel, and one for interpolation.
 const BEYOND_PX: f64 = 1.5;
 
-/// An error unless an observation lies in the array and in the image.
+/// Returns an error unless an observation lies in the array and in the image.
 fn check_position(
     what: &str,
     (k, l): (i32, i32),
@@ -246,7 +245,7 @@ fn check_position(
     Ok(())
 }
 
-/// An error unless a blur radius was measured and is possible.
+/// Returns an error unless a blur radius was measured and is possible.
 fn check_rho(rho_px: Option<f64>, what: &str, sensor: &Sensor) -> Result<()> {
     let Some(rho_px) = rho_px.filter(|rho| rho.is_finite()) else {
         return Err(Error::NoBlurRadius { feature: what.to_owned() });
@@ -259,7 +258,7 @@ fn check_rho(rho_px: Option<f64>, what: &str, sensor: &Sensor) -> Result<()> {
     Ok(())
 }
 
-/// An error unless standard deviations can divide residuals.
+/// Returns an error unless standard deviations can divide residuals.
 fn check_std_devs<'a>(values: impl IntoIterator<Item = &'a f64>, what: &str) -> Result<()> {
     match values.into_iter().find(|value| !(value.is_finite() && **value > 0.0)) {
         Some(value) => Err(Error::invalid(format!(

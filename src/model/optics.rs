@@ -4,28 +4,27 @@ use nalgebra::{Rotation3, Vector2, Vector3};
 
 use crate::model::{Configuration, InternalParameters, PlenopticCamera};
 
-/// H: image distance of a thin lens of focal length F whose object and image are h apart (paper,
-/// section 5.1): H = |h/2 (1 − √(1 − 4F/h))|; F for h = ∞. All in mm.
+/// Returns H, the image distance of a thin lens of focal length F whose object and image are h apart (paper, section 5.1): H =
+/// |h/2 (1 − √(1 − 4F/h))|; F for h = ∞. All in mm.
 ///
-/// The paper prints ± for the two configurations. With h > 0 the minus sign is the thin-lens
-/// equation itself and holds for both; it gives Table 1's initial values.
+/// The paper prints ± for the two configurations. With h > 0 the minus sign is the thin-lens equation itself and holds for
+/// both; it gives the initial values of Table 1.
 #[must_use]
 pub fn focus_image_distance(focal_length: f64, focus_distance: f64) -> f64 {
     if focus_distance.is_infinite() {
         return focal_length;
     }
-    // The smaller root of x² − h x + h F = 0 without the cancellation that large h would bring.
+    // The smaller root of x² − h x + h F = 0, in a form without cancellation for large h.
     2.0 * focal_length / (1.0 + (1.0 - 4.0 * focal_length / focus_distance).sqrt())
 }
 
-/// Initial D and d (paper, section 5.1), mm.
+/// Returns the initial D and d (paper, section 5.1), mm.
 ///
-/// The main lens is focused at 2d behind the array (Galilean) or in front of it (Keplerian),
-/// D = H ∓ 2d, or on it (unfocused); the slope of the micro-image radii gives m = dF/2D,
-/// Eq. (miradiusfnumbermc). Together they give d = 2mH/(F ± 4m); the paper prints the Galilean case.
+/// The main lens is focused at 2d behind the array (Galilean) or in front of it (Keplerian), D = H ∓ 2d, or on it (unfocused).
+/// The slope of the micro-image radii gives m = dF/2D, Eq. (miradiusfnumbermc). Together they give d = 2mH/(F ± 4m); the paper
+/// prints the Galilean case.
 ///
-/// With the exit pupil at e_z, `exit_pupil`, m = d (F + e_z)/2(D + e_z) and
-/// d = 2m (H + e_z)/(F + e_z ± 4m).
+/// With the exit pupil at e_z, `exit_pupil`, m = d (F + e_z)/2(D + e_z) and d = 2m (H + e_z)/(F + e_z ± 4m).
 #[must_use]
 pub fn initial_distances(
     focal_length: f64,
@@ -45,42 +44,41 @@ pub fn initial_distances(
     (image_distance - side * mla_to_sensor, mla_to_sensor)
 }
 
-/// ΔC from Δc, Eq. (mlinterdist): ΔC = Δc · D/(D + d), with D + e_z, from the exit pupil to the array, in
-/// the place of D.
+/// Returns ΔC from Δc, Eq. (mlinterdist): ΔC = Δc · D/(D + d), where the distance D + e_z from exit pupil to array replaces D.
 #[must_use]
 pub fn micro_lens_pitch(micro_image_pitch: f64, pupil_to_mla: f64, mla_to_sensor: f64) -> f64 {
     micro_image_pitch * pupil_to_mla / (pupil_to_mla + mla_to_sensor)
 }
 
-/// fᵢ = d ΔC/(2 q'ᵢ) (paper, section 5.1).
+/// Returns fᵢ = d ΔC/(2 q'ᵢ) (paper, section 5.1).
 #[must_use]
 pub fn micro_lens_focal_length(q_prime: f64, micro_lens_pitch: f64, mla_to_sensor: f64) -> f64 {
     mla_to_sensor * micro_lens_pitch / (2.0 * q_prime)
 }
 
-/// The f-number of a stop as engraved (4, 5.6, 8, 11 …): N = √(2^AV) with the aperture value AV
-/// rounded to thirds (paper, section 3.2).
+/// Returns the f-number of a stop as engraved (4, 5.6, 8, 11 …): N = √(2^AV) with the aperture value AV rounded to thirds
+/// (paper, section 3.2).
 #[must_use]
 pub fn f_number_of_stop(stop: f64) -> f64 {
     let thirds = (2.0 * stop.log2() * 3.0).round();
     (thirds / 3.0 / 2.0).exp2()
 }
 
-/// The tilt gradient of the array of a known camera, ∇ ln d along u and v, 1/mm of the sensor: see [`TiltGradient`].
+/// Returns the tilt gradient ∇ ln d of the array of a known camera along u and v, 1/mm of the sensor: see [`TiltGradient`].
 ///
 /// [`TiltGradient`]: crate::model::TiltGradient
 #[must_use]
 pub fn tilt_gradient_per_mm(camera: &PlenopticCamera) -> Vector2<f64> {
     let angles = camera.mla.rotation_rad;
     let normal = Rotation3::from_euler_angles(angles.x, angles.y, angles.z) * Vector3::z();
-    // Micro-images lie further apart than their lenses.
+    // Micro-images lie further apart than their micro-lenses.
     let to_pupil = camera.pupil_to_mla_mm();
     let scale = to_pupil / (to_pupil + camera.mla.mla_to_sensor_mm);
     normal.xy() * (scale / (normal.z * camera.mla.mla_to_sensor_mm))
 }
 
-/// Ω of a known camera: |m| = dpF/2(D + e_z), which is dF/2D with the pupil in the lens, and
-/// q'ᵢ = d ΔC/(2 fᵢ), Eq. (miradiusfnumbermc), with Δc of Eq. (mlinterdist).
+/// Returns Ω of a known camera: |m| = dpF/2(D + e_z), which is dF/2D with the pupil in the lens, and q'ᵢ = d ΔC/(2 fᵢ),
+/// Eq. (miradiusfnumbermc), with Δc of Eq. (mlinterdist).
 #[must_use]
 pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
     let (lens, mla) = (&camera.main_lens, &camera.mla);

@@ -1,4 +1,4 @@
-//! The parameters that all frames share, from the table that C++ uses too: `cpp/include/plenocal/parameters.def`.
+//! Parameters shared by all frames, from the table that C++ uses too: `cpp/include/plenocal/parameters.def`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,7 +9,7 @@ use super::board::BoardShape;
 use super::camera::PlenopticCamera;
 use crate::error::Error;
 
-/// A row of the table.
+/// Row of the table.
 struct Row {
     name: &'static str,
     unit: &'static str,
@@ -23,15 +23,15 @@ const FINITE: bool = false;
 
 macro_rules! parameters {
     ($(($id:ident, $name:literal, $unit:literal, $key:literal, $bound:ident, $description:literal);)*) => {
-        /// A parameter that all frames share: an intrinsic one of the camera, or one of the shape of the board.
-        /// They are ordered like the solver's parameter blocks.
+        /// Parameter shared by all frames: an intrinsic one of the camera, or one of the shape of the board. Parameters have
+        /// the order of the solver's parameter blocks.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum Parameter {
             $(#[doc = $description] $id,)*
         }
 
         impl Parameter {
-            /// The intrinsic parameters of a camera of three lens types, then those of the shape of a board.
+            /// Intrinsic parameters of a camera of three lens types, then the parameters of the shape of a board.
             pub const ALL: [Self; [$($name),*].len()] = [$(Self::$id),*];
 
             const fn row(self) -> Row {
@@ -50,7 +50,7 @@ macro_rules! parameters {
 }
 include!(concat!(env!("OUT_DIR"), "/parameters.rs"));
 
-/// The largest number of lens types.
+/// Largest number of lens types.
 pub const MAX_LENS_TYPES: usize =
     Parameter::FocalLengthOfType3 as usize - Parameter::FocalLengthOfType1 as usize + 1;
 /// Number of intrinsic parameters of a camera of pinholes.
@@ -59,10 +59,10 @@ const PINHOLE: usize = Parameter::FocalLengthOfType1 as usize;
 pub const SHAPE: usize = Parameter::ALL.len() - PINHOLE - MAX_LENS_TYPES;
 
 impl Parameter {
-    /// The parameters of the shape of a board.
+    /// Parameters of the shape of a board.
     pub const SHAPE: [Self; SHAPE] = [Self::SagX, Self::SagY, Self::Twist, Self::Aspect];
 
-    /// Those that the camera of the paper does not have: curvature of the field, exit pupil, a second pitch.
+    /// Parameters that the camera of the paper does not have: field curvature, exit pupil, a second pitch.
     pub const BEYOND_THE_PAPER: [Self; 6] = [
         Self::FieldCurvature,
         Self::FieldCurvatureGrowth,
@@ -72,10 +72,10 @@ impl Parameter {
         Self::PitchRatio,
     ];
 
-    /// The intrinsic parameters of a camera with this many lens types.
+    /// Returns the intrinsic parameters of a camera with this many lens types.
     ///
     /// # Panics
-    /// With more than [`MAX_LENS_TYPES`], which no valid camera has.
+    /// If there are more than [`MAX_LENS_TYPES`], which no valid camera has.
     #[must_use]
     pub fn intrinsic(lens_types: usize) -> &'static [Self] {
         const ALL: &[Parameter] = &Parameter::ALL;
@@ -83,8 +83,8 @@ impl Parameter {
         &ALL[..PINHOLE + lens_types]
     }
 
-    /// The intrinsic parameters of a camera with this many lens types, then those of the shape of the board. Indices of
-    /// shared parameters refer to this order.
+    /// Returns the intrinsic parameters of a camera with this many lens types, then the parameters of the shape of the board.
+    /// Indices of shared parameters refer to this order.
     ///
     /// # Panics
     /// Like [`Parameter::intrinsic`].
@@ -93,52 +93,52 @@ impl Parameter {
         [Self::intrinsic(lens_types), &Self::SHAPE].concat()
     }
 
-    /// The focal length of a lens type, from 0.
+    /// Returns the focal length of a lens type, from 0.
     ///
     /// # Panics
-    /// Beyond [`MAX_LENS_TYPES`].
+    /// If the lens type is beyond [`MAX_LENS_TYPES`].
     #[must_use]
     pub fn focal_length_of(lens_type: usize) -> Self {
         Self::intrinsic(MAX_LENS_TYPES)[PINHOLE + lens_type]
     }
 
-    /// The symbol of the paper as it is written in options, tables and files.
+    /// Returns the symbol of the paper as written in options, tables and files.
     #[must_use]
     pub const fn name(self) -> &'static str {
         self.row().name
     }
 
-    /// Unit of the value.
+    /// Returns the unit of the value.
     #[must_use]
     pub const fn unit(self) -> &'static str {
         self.row().unit
     }
 
-    /// Place in `camera.json`, or in the `board` of `problem.json`, as a JSON pointer (RFC 6901).
+    /// Returns the position in `camera.json`, or in the `board` of `problem.json`, as a JSON pointer (RFC 6901).
     #[must_use]
     pub const fn key(self) -> &'static str {
         self.row().key
     }
 
-    /// Whether only positive values are possible.
+    /// Returns true if only positive values are possible.
     #[must_use]
     pub const fn is_positive(self) -> bool {
         self.row().is_positive
     }
 
-    /// What the parameter is.
+    /// Returns the description of the parameter.
     #[must_use]
     pub const fn description(self) -> &'static str {
         self.row().description
     }
 
-    /// Whether it is the focal length of a lens type.
+    /// Returns true if it is the focal length of a lens type.
     #[must_use]
     pub const fn is_of_micro_lenses(self) -> bool {
         self as usize >= PINHOLE && !self.is_of_board()
     }
 
-    /// Whether it is a parameter of the board's shape rather than of the camera.
+    /// Returns true if it is a parameter of the shape of the board rather than of the camera.
     #[must_use]
     pub const fn is_of_board(self) -> bool {
         self as usize >= PINHOLE + MAX_LENS_TYPES
@@ -180,11 +180,11 @@ impl<'de> Deserialize<'de> for Parameter {
 macro_rules! places {
     ($of:ty { $($id:ident => $($place:ident).+ $([$index:literal])?;)* }) => {
         impl $of {
-            /// The value of a parameter, in its unit.
+            /// Returns the value of a parameter, in its unit.
             ///
             /// # Panics
-            /// If there is no such parameter here: one of the other of camera and board, or the focal length of a lens
-            /// type that the camera does not have.
+            /// If this has no such parameter: a parameter of the board in a camera or the reverse, or the focal length of a
+            /// lens type that the camera does not have.
             #[must_use]
             pub fn value(&self, parameter: Parameter) -> f64 {
                 match parameter {
@@ -196,7 +196,7 @@ macro_rules! places {
             /// Changes the value of a parameter.
             ///
             /// # Panics
-            /// As when it is read.
+            /// If this has no such parameter, as in `value`.
             pub fn set(&mut self, parameter: Parameter, value: f64) {
                 match parameter {
                     $(Parameter::$id => self.$($place).+ $([$index])? = value,)*
@@ -243,16 +243,16 @@ places!(BoardShape {
 });
 
 impl PlenopticCamera {
-    /// Values of all intrinsic parameters, in the order and units of [`Parameter::intrinsic`].
+    /// Returns the values of all intrinsic parameters, in the order and units of [`Parameter::intrinsic`].
     #[must_use]
     pub fn intrinsics(&self) -> Vec<f64> {
         Parameter::intrinsic(self.lens_types()).iter().map(|&p| self.value(p)).collect()
     }
 
-    /// This camera with other values of its intrinsic parameters.
+    /// Returns this camera with other values of its intrinsic parameters.
     ///
     /// # Panics
-    /// If the number of values is not that of [`PlenopticCamera::intrinsics`].
+    /// If the number of values differs from [`PlenopticCamera::intrinsics`].
     #[must_use]
     pub fn with_intrinsics(&self, values: &[f64]) -> Self {
         let parameters = Parameter::intrinsic(self.lens_types());
@@ -274,7 +274,7 @@ mod tests {
     use super::*;
     use crate::model::camera::small_camera;
 
-    /// The key of each parameter is where its value stands in `camera.json`.
+    /// The key of each parameter is the position of its value in `camera.json`.
     #[test]
     fn keys_are_places_in_the_files() {
         let mut camera = small_camera();

@@ -4,10 +4,10 @@ use serde::Serialize;
 
 use crate::model::{BapFeature, MicroImageCenter};
 
-/// A feature and its error.
+/// Feature and its reprojection error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FeatureResidual {
-    /// What was observed.
+    /// Observed feature.
     pub feature: BapFeature,
     /// Index of the lens type, from 0.
     pub lens_type: usize,
@@ -20,7 +20,7 @@ pub struct FeatureResidual {
 }
 
 impl FeatureResidual {
-    /// |(du, dv)| over the σ that the feature states; in px if it states none.
+    /// Returns |(du, dv)| over the σ of the feature; in px if it has none.
     #[must_use]
     pub fn norm(&self) -> f64 {
         let [u, v] = self.feature.std_dev_px.unwrap_or([1.0; 2]);
@@ -28,10 +28,10 @@ impl FeatureResidual {
     }
 }
 
-/// A micro-image centre and its error.
+/// Micro-image centre and its reprojection error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CenterResidual {
-    /// What was observed.
+    /// Observed centre.
     pub center: MicroImageCenter,
     /// Index of the lens type, from 0.
     pub lens_type: usize,
@@ -41,12 +41,12 @@ pub struct CenterResidual {
     pub dv_px: f64,
 }
 
-/// All errors of a calibration.
+/// All reprojection errors of a calibration.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reprojection {
-    /// One for each feature used.
+    /// Residuals of all used features.
     pub features: Vec<FeatureResidual>,
-    /// One for each centre used.
+    /// Residuals of all used centres.
     pub centers: Vec<CenterResidual>,
 }
 
@@ -57,19 +57,19 @@ pub struct Rmse {
     /// Number of features.
     #[serde(rename = "features")]
     pub count: usize,
-    /// Of (u, v, ρ).
+    /// Error of (u, v, ρ).
     #[serde(rename = "all")]
     pub all_px: f64,
-    /// Of (u, v).
+    /// Error of (u, v).
     #[serde(rename = "uv")]
     pub uv_px: f64,
-    /// Of ρ; `None` for a pinhole array.
+    /// Error of ρ; `None` for a pinhole array.
     #[serde(rename = "rho")]
     pub rho_px: Option<f64>,
 }
 
 impl Rmse {
-    /// Of some features.
+    /// Computes the errors of some features.
     pub fn of<'a>(features: impl IntoIterator<Item = &'a FeatureResidual>) -> Self {
         let (mut count, mut uv, mut rho) = (0_usize, 0.0, None);
         for f in features {
@@ -90,25 +90,25 @@ impl Rmse {
 }
 
 impl Reprojection {
-    /// Over all features.
+    /// Computes the errors of all features.
     #[must_use]
     pub fn rmse(&self) -> Rmse {
         Rmse::of(&self.features)
     }
 
-    /// Of the features of one frame.
+    /// Computes the errors of the features of one frame.
     #[must_use]
     pub fn frame_rmse(&self, frame: u32) -> Rmse {
         Rmse::of(self.features.iter().filter(|f| f.feature.frame == frame))
     }
 
-    /// Of the features seen through one lens type.
+    /// Computes the errors of the features seen through one lens type.
     #[must_use]
     pub fn lens_type_rmse(&self, lens_type: usize) -> Rmse {
         Rmse::of(self.features.iter().filter(|f| f.lens_type == lens_type))
     }
 
-    /// √mean(du² + dv²) over the centres, px; `None` without centres.
+    /// Computes √mean(du² + dv²) over the centres, px; `None` without centres.
     #[must_use]
     pub fn centers_rmse_px(&self) -> Option<f64> {
         let sum: f64 = self.centers.iter().map(|c| c.du_px.powi(2) + c.dv_px.powi(2)).sum();

@@ -1,4 +1,4 @@
-//! The image sensor.
+//! Image sensor.
 
 use std::fmt;
 
@@ -8,14 +8,14 @@ use serde::{Deserialize, Serialize};
 use super::checks::positive;
 use crate::error::{Error, Result};
 
-/// Pixels are larger than half the wavelength of light, and smaller than those of any sensor for images.
+/// Limits of the pixel size, mm: half the wavelength of light, and the largest pixels of image sensors.
 const SMALLEST_PIXEL_MM: f64 = 2e-4;
 const LARGEST_PIXEL_MM: f64 = 0.2;
 
-/// No sensor for images has more, and what is computed for each of them fits into memory.
+/// Largest number of pixels: no image sensor has more, and the results for each of them fit into memory.
 pub(crate) const MOST_PIXELS: u64 = 1 << 28;
 
-/// The image sensor.
+/// Image sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
@@ -28,33 +28,33 @@ pub struct Sensor {
 }
 
 impl fmt::Display for Sensor {
-    /// Such as `1000 x 750 px of 0.0055 mm`.
+    /// Formats the sensor, such as `1000 x 750 px of 0.0055 mm`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} x {} px of {} mm", self.width_px, self.height_px, self.pixel_size_mm)
     }
 }
 
 impl Sensor {
-    /// Number of pixels.
+    /// Returns the number of pixels.
     #[must_use]
     pub fn pixels(&self) -> u64 {
         u64::from(self.width_px) * u64::from(self.height_px)
     }
 
-    /// Middle of the image, px; pixel (0, 0) is the centre of the top-left pixel.
+    /// Returns the middle of the image, px; pixel (0, 0) is the centre of the top-left pixel.
     #[must_use]
     pub fn center_px(&self) -> Vector2<f64> {
         Vector2::new(f64::from(self.width_px) - 1.0, f64::from(self.height_px) - 1.0) / 2.0
     }
 
-    /// Whether a position lies between the centres of the outermost pixels.
+    /// Returns true if a position lies between the centres of the outermost pixels.
     #[must_use]
     pub fn contains(&self, u_px: f64, v_px: f64) -> bool {
         (0.0..=f64::from(self.width_px) - 1.0).contains(&u_px)
             && (0.0..=f64::from(self.height_px) - 1.0).contains(&v_px)
     }
 
-    /// An error unless the sensor has pixels.
+    /// Returns an error unless the sensor has pixels of a possible size.
     pub(crate) fn validate(&self) -> Result<()> {
         if self.width_px == 0 || self.height_px == 0 {
             return Err(Error::invalid(format!(
@@ -81,7 +81,7 @@ impl Sensor {
         )))
     }
 
-    /// Half the diagonal, mm.
+    /// Returns half the diagonal, mm.
     pub(crate) fn half_diagonal_mm(&self) -> f64 {
         f64::from(self.width_px).hypot(f64::from(self.height_px)) / 2.0 * self.pixel_size_mm
     }

@@ -1,39 +1,39 @@
-//! How the micro-lens array is tilted against the sensor.
+//! Tilt of the micro-lens array with respect to the sensor.
 
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 
-/// The tilt gradient of the array as white images show it by themselves: ∇ ln d, the relative growth of the distance
-/// between array and sensor along u and v. It is θ_y and −θ_x over d, to first order and with d in pixels.
+/// Tilt gradient ∇ ln d of the array, measured on white images alone: the relative growth of the distance between array and
+/// sensor along u and v. It is θ_y and −θ_x over d, to first order and with d in pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TiltGradient {
-    /// ∇ ln d, px⁻¹.
+    /// Tilt gradient ∇ ln d, px⁻¹.
     pub growth_per_px: [f64; 2],
-    /// σ of both, px⁻¹.
+    /// σ of both components, px⁻¹.
     pub std_dev_per_px: [f64; 2],
-    /// What of σ is one and the same error along both, px⁻¹, with its signs: the model of the discs, and the law of the
-    /// fall-off.
+    /// Part of σ due to errors shared by both components, px⁻¹, with its signs: the model of the discs, and the law of the
+    /// angular response.
     #[serde(default)]
     pub shared_per_px: [f64; 2],
-    /// How much both grow with ln φ, px⁻¹: white images show how the discs of blur grow, which is the tilt gradient times φq'ᵢ, and of
-    /// that only φqᵢ.
+    /// Derivative of both by ln φ, px⁻¹: white images show the growth of the blur discs, the tilt gradient times φq'ᵢ, but of
+    /// φq'ᵢ itself only φqᵢ.
     #[serde(default, alias = "by_fill_factor_per_px")]
     pub by_aperture_ratio_per_px: [f64; 2],
-    /// How much both grow with (ln φ)², px⁻¹.
+    /// Coefficient of (ln φ)² of both, px⁻¹.
     #[serde(default, alias = "by_fill_factor_squared_per_px")]
     pub by_aperture_ratio_squared_per_px: [f64; 2],
 }
 
-/// σ of the distance of the exit pupil from the sensor before it is known, relative.
+/// Relative σ of the distance from exit pupil to sensor before a calibration.
 const PUPIL: f64 = 0.25;
-/// σ of a growth of d that is nearly 0, px⁻¹.
+/// Least σ of a growth of d, used if the growth is nearly 0, px⁻¹.
 const LEAST_GROWTH: f64 = 1e-7;
 
-/// ∇ ln d, px⁻¹, as far as it is known before a calibration: by the discs of white images, and by the perspective of the centres, t =
-/// ∇d/(D + e_z + d), which tells it as well as it is known how far the exit pupil is from the sensor;
-/// `lens_to_sensor` is (D + d)/d.
+/// Estimates ∇ ln d, px⁻¹, before a calibration, from the discs of white images and from the perspective of the centres,
+/// t = ∇d/(D + e_z + d). The latter is as uncertain as the distance of the exit pupil from the sensor; `lens_to_sensor` is (D +
+/// d)/d.
 #[must_use]
 pub(crate) fn growth_per_px(
     tilt_gradient: Option<&TiltGradient>,
@@ -47,7 +47,7 @@ pub(crate) fn growth_per_px(
 }
 
 impl TiltGradient {
-    /// An error that names a value that no camera has.
+    /// Returns an error that names an impossible value.
     pub(crate) fn validate(&self) -> Result<()> {
         let possible = |std_dev: &f64| std_dev.is_finite() && *std_dev > 0.0;
         if let Some(growth) = self.growth_per_px.iter().find(|x| !x.is_finite()) {
@@ -71,7 +71,7 @@ impl TiltGradient {
         }
     }
 
-    /// The tilt gradient by the same white images with another aperture ratio; `change` is that of ln φ.
+    /// Returns the tilt gradient from the same white images with another aperture ratio; `change` is the change of ln φ.
     #[must_use]
     pub fn with_aperture_ratio(&self, change: f64) -> Self {
         let by_square = self.by_aperture_ratio_squared_per_px.map(|by| by * change);
@@ -83,7 +83,7 @@ impl TiltGradient {
         }
     }
 
-    /// The mean of this tilt gradient and another estimate of ∇ ln d with its σ, each by its weight.
+    /// Returns the weighted mean of this tilt gradient and another estimate of ∇ ln d with its σ.
     #[must_use]
     pub fn with(&self, other: &Vector2<f64>, std_dev: &Vector2<f64>) -> Vector2<f64> {
         Vector2::from_fn(|i, _| {

@@ -1,28 +1,27 @@
-//! The Levenberg-Marquardt method for small problems (Marquardt, J. SIAM 11, 1963). An image needs
-//! millions of them, so nothing is allocated between steps.
+//! The Levenberg-Marquardt method for small problems (Marquardt, J. SIAM 11, 1963). An image takes millions of them, so nothing
+//! is allocated between steps.
 
 use nalgebra::{SMatrix, SVector};
 
-/// A sum of squares to minimise over P parameters.
+/// Sum of squares to minimise over P parameters.
 pub(crate) trait LeastSquares<const P: usize> {
-    /// The parameters.
+    /// Type of the parameters.
     type Point: Copy;
 
-    /// The weighted sum of squares at a point, which becomes the trial point; `None` if the model is not
-    /// defined there.
+    /// Returns the weighted sum of squares at a point, which becomes the trial point; `None` if the model is not defined there.
     fn evaluate(&mut self, at: &Self::Point) -> Option<f64>;
 
     /// Accepts the trial point.
     fn accept(&mut self);
 
-    /// JᵀWJ and JᵀWr at the point accepted last, r being the measurement minus the model; `None` if the
-    /// descent has failed.
+    /// Returns JᵀWJ and JᵀWr at the point accepted last, where r is the measurement minus the model; `None` if the descent has
+    /// failed.
     fn normal_equations(&mut self) -> Option<(SMatrix<f64, P, P>, SVector<f64, P>)>;
 
-    /// The point a step away, kept within the permitted range.
+    /// Returns the point a step away, kept within the permitted range.
     fn moved(&self, from: &Self::Point, step: &SVector<f64, P>) -> Self::Point;
 
-    /// Distance between two points, in the unit of [`Descent::settled`].
+    /// Returns the distance between two points, in the unit of [`Descent::settled`].
     fn distance(&self, from: &Self::Point, to: &Self::Point) -> f64;
 }
 
@@ -31,12 +30,12 @@ pub(crate) trait LeastSquares<const P: usize> {
 pub(crate) struct Descent {
     /// Largest number of steps.
     pub steps: usize,
-    /// A step that lowers the sum and is shorter than this is the last one.
+    /// Length of a step below which it is the last one, if it lowers the sum.
     pub settled: f64,
-    /// One that would be shorter than this is the last one too, and is taken without evaluating the sum there: what it leaves is
-    /// of the second order. Not after a step that did not lower the sum.
+    /// Length of a step below which it is the last one and is taken without evaluating the sum, since the remaining error is of
+    /// the second order. It does not apply after a step that did not lower the sum.
     pub unseen: f64,
-    /// The damping is divided by this after a step that lowers the sum, and multiplied by it otherwise.
+    /// Factor by which a step that lowers the sum divides the damping, and any other multiplies it.
     pub factor: f64,
     /// Smallest and largest damping. If even the largest does not lower the sum, the descent ends.
     pub damping: (f64, f64),
@@ -47,8 +46,8 @@ pub(crate) struct Descent {
 const FIRST_DAMPING: f64 = 1e-3;
 
 impl Descent {
-    /// The lowest point found from a start, and its sum of squares. `None` if the model is not defined at
-    /// the start or at a trial point.
+    /// Returns the lowest point found from a start, and its sum of squares; `None` if the model is not defined at the start or
+    /// at a trial point.
     #[inline]
     pub fn from<const P: usize, S: LeastSquares<P>>(
         &self,
@@ -64,12 +63,12 @@ impl Descent {
             for i in 0..P {
                 damped[(i, i)] *= 1.0 + damping;
             }
-            // Where the equations have no solution, no step is possible with this damping.
+            // If the equations have no solution, no step is possible with this damping.
             let step = damped.cholesky().map(|factors| factors.solve(&right));
             if let Some(step) = step {
                 let next = sum.moved(&point, &step);
                 if damping <= FIRST_DAMPING && sum.distance(&point, &next) < self.unseen {
-                    // By the linear model; rounding must not make it negative.
+                    // The linear model gives the sum; rounding must not make it negative.
                     return Some((next, (cost - right.dot(&step)).max(f64::EPSILON * cost)));
                 }
                 let next_cost = sum.evaluate(&next)?;
@@ -146,7 +145,7 @@ mod tests {
         assert!((end - Vector2::new(1.0, 1.0)).norm() < 1e-9 && cost < 1e-18, "{end} {cost}");
     }
 
-    /// Of a straight valley one step finds the bottom: it need not be looked at, and its sum is known.
+    /// Checks that one step reaches the bottom of a straight valley without an evaluation there, and gives its sum.
     #[test]
     fn a_short_last_step_is_taken_unseen() {
         struct Straight {
@@ -183,7 +182,7 @@ mod tests {
             assert!((end - 0.3).abs() < 1e-4 && (sum - 0.98).abs() < 1e-4, "{end} {sum}");
             assert_eq!(valley.evaluations, evaluations);
         }
-        // The linear model is that of the evaluated sum, to the damping of the first step.
+        // The linear model agrees with the evaluated sum, apart from the damping of the first step.
         let mut seen = Straight { trial: 0.0, taken: 0.0, evaluations: 0 };
         let (_, sum) = Descent { unseen: 0.0, ..settings }.from(0.25, &mut seen).unwrap();
         assert!(seen.evaluations > 1 && (sum - 0.98).abs() < 1e-6, "{sum}");

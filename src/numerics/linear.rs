@@ -2,8 +2,8 @@
 
 use nalgebra::{RealField, SMatrix, SVector};
 
-/// The normal equations of P unknowns with Q right-hand sides, summed row by row. The design matrix
-/// is never stored, so sums over millions of pixels take no memory.
+/// Normal equations of P unknowns with Q right-hand sides, summed row by row. The design matrix is never stored, so sums over
+/// millions of pixels take no memory.
 ///
 /// Sums are kept and solved in the precision T of the data.
 #[derive(Debug, Clone, Copy)]
@@ -13,13 +13,12 @@ pub(crate) struct NormalEquations<T, const P: usize, const Q: usize> {
 }
 
 impl<T: RealField + Copy, const P: usize, const Q: usize> NormalEquations<T, P, Q> {
-    /// No rows yet.
+    /// Creates equations without rows.
     pub fn new() -> Self {
         Self { normal: SMatrix::zeros(), right: SMatrix::zeros() }
     }
 
-    /// Adds a row of the design matrix with its measurement and its weight: one over the variance, up
-    /// to a common factor.
+    /// Adds a row of the design matrix with its measurement and its weight, the inverse of the variance up to a common factor.
     #[inline]
     pub fn add(&mut self, row: &SVector<T, P>, measured: &SMatrix<T, 1, Q>, weight: T) {
         let weighted = row * weight;
@@ -32,12 +31,12 @@ impl<T: RealField + Copy, const P: usize, const Q: usize> NormalEquations<T, P, 
         self.right += weighted * measured;
     }
 
-    /// The whole normal matrix AᵀWA.
+    /// Returns the whole normal matrix AᵀWA.
     pub fn normal(&self) -> SMatrix<T, P, P> {
         SMatrix::from_fn(|i, j| self.normal[(i.max(j), i.min(j))])
     }
 
-    /// The unknowns; `None` if the rows do not determine them.
+    /// Returns the unknowns; `None` if the rows do not determine them.
     pub fn solve(&self) -> Option<SMatrix<T, P, Q>> {
         Some(self.normal.cholesky()?.solve(&self.right))
     }

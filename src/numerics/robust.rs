@@ -3,19 +3,18 @@
 
 use super::median;
 
-/// The weight of a residual of length r; beyond the limit L it is an outlier.
+/// Weight of a residual of length r; beyond the limit L it is an outlier.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Weight {
-    /// Tukey's biweight (1 − r²/L²)², 0 from L on: efficient for normal residuals, and outliers have
-    /// no effect at all.
+    /// Tukey's biweight (1 − r²/L²)², 0 from L on: efficient for normal residuals, without any effect of outliers.
     Biweight,
-    /// 1 up to L, 0 beyond: for fits with few rounds.
+    /// Weight 1 up to L, 0 beyond: for fits with few rounds.
     Cut,
-    /// 1/(1 + r⁴/L⁴): never 0, so that a fit to few values stays determined.
+    /// Weight 1/(1 + r⁴/L⁴), which is never 0, so that a fit to few values stays determined.
     Smooth,
 }
 
-/// The unit of the typical length of the residuals, which is their median.
+/// Unit of the typical length of the residuals, which is their median.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Scale {
     /// The median itself.
@@ -34,8 +33,8 @@ impl Scale {
     }
 }
 
-/// When a residual is an outlier: beyond `scales` times its typical length, which is taken as at
-/// least `least`, plus `slack`. Both are in the unit of the residuals.
+/// Rule for outliers: a residual is one beyond `scales` times the typical length, which is at least `least`, plus `slack`. Both
+/// are in the unit of the residuals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Outliers {
     pub weight: Weight,
@@ -48,13 +47,13 @@ pub(crate) struct Outliers {
 }
 
 impl Outliers {
-    /// Typical length of residuals; `None` if there are none.
+    /// Returns the typical length of residuals; `None` if there are none.
     pub fn typical(&self, lengths: &[f64]) -> Option<f64> {
         let median = median(lengths.iter().copied())?;
         Some(self.scale.of_median(median).max(self.least))
     }
 
-    /// The length beyond which residuals of this typical length are outliers.
+    /// Returns the length beyond which residuals of this typical length are outliers.
     pub fn limit(&self, typical: f64) -> f64 {
         self.scales * typical + self.slack
     }
@@ -70,42 +69,41 @@ impl Outliers {
     }
 }
 
-/// A model that is fitted to data by weighted least squares, round by round.
+/// Model that is fitted to data by weighted least squares, round by round.
 pub(crate) trait Reweighted {
-    /// What is fitted.
+    /// Type of the fitted model.
     type Model;
 
-    /// Number of data.
+    /// Returns the number of data.
     fn count(&self) -> usize;
 
-    /// The model that fits best with these weights, one for each datum, which multiply the data's own
-    /// weights; `last` is the model of the previous round. `None` if the data do not determine it.
+    /// Returns the model that fits best with these weights, one per datum, which multiply the data's own weights; `last` is the
+    /// model of the previous round. `None` if the data do not determine it.
     fn solve(&self, weights: &[f64], last: Option<&Self::Model>) -> Option<Self::Model>;
 
-    /// Length of the residual of a datum.
+    /// Returns the length of the residual of a datum.
     fn length(&self, model: &Self::Model, datum: usize) -> f64;
 
-    /// Whether the last round made no significant change.
+    /// Returns true if the last round made no significant change.
     fn settled(&self, _last: &Self::Model, _next: &Self::Model) -> bool {
         false
     }
 }
 
-/// A fitted model with its residuals.
+/// Fitted model with its residuals.
 #[derive(Debug, Clone)]
 pub(crate) struct Fitted<M> {
     pub model: M,
     /// Lengths of the residuals.
     pub lengths: Vec<f64>,
-    /// Their typical length, see [`Outliers::typical`].
+    /// Typical length of the residuals, see [`Outliers::typical`].
     pub typical: f64,
-    /// The weights that follow from these lengths.
+    /// Weights that follow from these lengths.
     pub weights: Vec<f64>,
 }
 
-/// Fits a model in at most `rounds` rounds. The weights of a round follow from the residuals of the
-/// previous one; the first round has those of `start`, or equal weights. `None` if there are no data,
-/// or if they do not determine the model.
+/// Fits a model in at most `rounds` rounds. The residuals of the previous round give the weights of a round; the first round
+/// has the weights of `start`, or equal weights. `None` if there are no data, or if they do not determine the model.
 pub(crate) fn fit<R: Reweighted>(
     data: &R,
     start: Option<R::Model>,

@@ -1,13 +1,13 @@
-//! Numbers of single precision side by side, as registers hold them.
+//! Numbers of single precision, side by side in registers.
 
-// Only what is inlined into a dispatched function is compiled for its registers.
+// Only functions inlined into a dispatched function are compiled for its registers.
 #![allow(clippy::inline_always)]
 
 use std::ops::{Add, Mul, Neg, Sub};
 
 use pulp::Simd;
 
-/// As many numbers as a register holds.
+/// Numbers that fill a register.
 #[derive(Clone, Copy)]
 pub(crate) struct Lanes<S: Simd> {
     simd: S,
@@ -15,37 +15,37 @@ pub(crate) struct Lanes<S: Simd> {
 }
 
 impl<S: Simd> Lanes<S> {
-    /// The same number in all.
+    /// Creates lanes with the same number in all.
     #[inline(always)]
     pub fn splat(simd: S, x: f32) -> Self {
         Self { simd, x: simd.splat_f32s(x) }
     }
 
-    /// The numbers of a register.
+    /// Creates lanes from a register.
     #[inline(always)]
     pub fn of(simd: S, x: S::f32s) -> Self {
         Self { simd, x }
     }
 
-    /// Them.
+    /// Returns the register.
     #[inline(always)]
     pub fn register(self) -> S::f32s {
         self.x
     }
 
-    /// This times another, and a third.
+    /// Returns self · by + and.
     #[inline(always)]
     pub fn mul_add(self, by: Self, and: Self) -> Self {
         Self::of(self.simd, self.simd.mul_add_e_f32s(self.x, by.x, and.x))
     }
 
-    /// This times a number, and another.
+    /// Returns self · by + and, for a number `by`.
     #[inline(always)]
     pub fn mul_add_scalar(self, by: f32, and: Self) -> Self {
         self.mul_add(Self::splat(self.simd, by), and)
     }
 
-    /// A third less this times another.
+    /// Returns from − self · by.
     #[inline(always)]
     pub fn mul_from(self, by: Self, from: Self) -> Self {
         Self::of(self.simd, self.simd.negate_mul_add_e_f32s(self.x, by.x, from.x))
@@ -62,13 +62,13 @@ impl<S: Simd> Lanes<S> {
         Self::of(self.simd, self.simd.max_f32s(self.x, other.x))
     }
 
-    /// Square roots; of numbers below 0 they are not numbers.
+    /// Returns the square roots; not a number for numbers below 0.
     #[inline(always)]
     pub fn sqrt(self) -> Self {
         Self::of(self.simd, self.simd.sqrt_f32s(self.x))
     }
 
-    /// One over each.
+    /// Returns the reciprocals.
     #[inline(always)]
     pub fn recip(self) -> Self {
         Self::of(self.simd, self.simd.div_f32s(self.simd.splat_f32s(1.0), self.x))
@@ -84,7 +84,7 @@ impl<S: Simd> Lanes<S> {
         Self::of(self.simd, self.simd.min_f32s(self.x, other.x))
     }
 
-    /// `yes` where this is below a number, and `no` elsewhere.
+    /// Returns `yes` where this is below a limit, and `no` elsewhere.
     #[inline(always)]
     pub fn where_below(self, limit: f32, yes: Self, no: Self) -> Self {
         let simd = self.simd;
@@ -92,13 +92,13 @@ impl<S: Simd> Lanes<S> {
         Self::of(simd, simd.select_f32s(below, yes.x, no.x))
     }
 
-    /// The largest of all.
+    /// Returns the largest number.
     #[inline(always)]
     pub fn largest(self) -> f32 {
         self.simd.reduce_max_f32s(self.x)
     }
 
-    /// The sum of all.
+    /// Returns the sum of all numbers.
     #[inline(always)]
     pub fn sum(self) -> f32 {
         self.simd.reduce_sum_f32s(self.x)
@@ -168,13 +168,13 @@ impl<S: Simd> Mul<f32> for Lanes<S> {
     }
 }
 
-/// The sum of products.
+/// Returns the sum of products.
 #[inline(always)]
 pub(crate) fn dot<S: Simd>(simd: S, a: &[f32], b: &[f32]) -> f32 {
     let n = a.len().min(b.len());
     let ((a, a_rest), (b, b_rest)) = (S::as_simd_f32s(&a[..n]), S::as_simd_f32s(&b[..n]));
     let zero = Lanes::splat(simd, 0.0);
-    // Two sums, since each has to wait for its last product.
+    // Each sum has to wait for its last product, so there are two.
     let mut sums = [zero, zero];
     let half = a.len() / 2;
     for i in 0..half {
@@ -191,7 +191,7 @@ pub(crate) fn dot<S: Simd>(simd: S, a: &[f32], b: &[f32]) -> f32 {
     (sums[0] + sums[1]).sum() + rest
 }
 
-/// The sum of numbers.
+/// Returns the sum of numbers.
 #[inline(always)]
 pub(crate) fn sum<S: Simd>(simd: S, a: &[f32]) -> f32 {
     let (a, a_rest) = S::as_simd_f32s(a);
@@ -206,7 +206,7 @@ pub(crate) fn sum<S: Simd>(simd: S, a: &[f32]) -> f32 {
     all.sum() + rest
 }
 
-/// The weighted sum of squares.
+/// Returns the weighted sum of squares.
 #[inline(always)]
 pub(crate) fn weighted_squares<S: Simd>(simd: S, weight: &[f32], a: &[f32]) -> f32 {
     let n = a.len().min(weight.len());
@@ -223,7 +223,7 @@ pub(crate) fn weighted_squares<S: Simd>(simd: S, weight: &[f32], a: &[f32]) -> f
     all.sum() + rest
 }
 
-/// The largest of numbers that are not negative; 0 without any.
+/// Returns the largest of numbers that are not negative; 0 without any.
 #[inline(always)]
 pub(crate) fn largest<S: Simd>(simd: S, a: &[f32]) -> f32 {
     let (a, a_rest) = S::as_simd_f32s(a);
@@ -238,8 +238,8 @@ pub(crate) fn largest<S: Simd>(simd: S, a: &[f32]) -> f32 {
     rest
 }
 
-/// Weighted products of rows with each other, in the lower triangle, and with numbers on their right. `weighted` is room for a
-/// row.
+/// Returns weighted products of rows with each other, in the lower triangle, and with the numbers on their right. `weighted` is
+/// a buffer for a row.
 #[inline(always)]
 pub(crate) fn products<S: Simd, const P: usize, const Q: usize>(
     simd: S,

@@ -2,14 +2,14 @@
 
 use crate::quantity::Estimate;
 
-/// The median; of an even number of values the upper of the middle two. `None` without values.
+/// Returns the median; of an even number of values, the upper of the middle two. `None` without values.
 pub(crate) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Mean and standard deviation of a sample; the latter is `None` for a single value.
+/// Returns mean and standard deviation of a sample; the latter is `None` for a single value.
 pub(crate) fn mean_and_std_dev(values: impl Iterator<Item = f64> + Clone) -> (f64, Option<f64>) {
     let count = values.clone().count() as f64;
     let mean = values.clone().sum::<f64>() / count;
@@ -17,7 +17,8 @@ pub(crate) fn mean_and_std_dev(values: impl Iterator<Item = f64> + Clone) -> (f6
     (mean, (count > 1.0).then(|| (square / (count - 1.0)).sqrt()))
 }
 
-/// The weighted mean of estimates, with a standard deviation by theirs or by the scatter of the values, whichever is larger. `None` without values.
+/// Returns the weighted mean of estimates. Its standard deviation follows from theirs or from the scatter of the values,
+/// whichever is larger. `None` without values.
 pub(crate) fn weighted_mean(values: impl IntoIterator<Item = Estimate>) -> Option<Estimate> {
     let values: Vec<Estimate> = values.into_iter().collect();
     let weight = |v: &Estimate| v.std_dev.powi(-2);
@@ -28,8 +29,8 @@ pub(crate) fn weighted_mean(values: impl IntoIterator<Item = Estimate>) -> Optio
     mean.is_finite().then(|| Estimate::new(mean, (excess / weights).sqrt()))
 }
 
-/// The normal deviate that is as rare as a value of `ratio` times its σ, if σ has so many degrees of freedom: few
-/// frames often differ by several of the σ that they show (Student's t, by the approximation of Wallace 1959).
+/// Returns the normal deviate that is as rare as a value of `ratio` times its σ, if σ has so many degrees of freedom. Few
+/// frames often differ by several of the σ that they show (Student's t, with the approximation of Wallace 1959).
 pub(crate) fn normal_deviate(ratio: f64, freedom: f64) -> f64 {
     if freedom.is_infinite() {
         return ratio.abs();
@@ -58,7 +59,7 @@ mod tests {
         assert_eq!(weighted_mean([]), None);
     }
 
-    /// From tables of Student's t: these are exceeded as rarely as 3 σ of a normal variable, by 0.27 %.
+    /// Compares with tables of Student's t: these ratios are exceeded as rarely as 3 σ of a normal variable, by 0.27 %.
     #[test]
     fn few_frames_need_a_larger_ratio() {
         for (freedom, ratio) in [(4.0, 6.62), (5.0, 5.507), (10.0, 3.957), (30.0, 3.270)] {

@@ -1,58 +1,56 @@
-//! The aberrations of the main lens, as micro-images show them.
+//! Aberrations of the main lens in micro-images.
 //!
-//! A micro-image is an image of the pupil: what it shows at w from its centre c came through the place of
-//! the pupil that is seen there. An ideal main lens sends all light from a point to one pinhole image p, and
-//! c − p = A w, with A = 1/(γ − 1) for a line of the slope γ. A real one moves each ray where it meets the
-//! array, by E(w):
+//! A micro-image is an image of the pupil: light at the position w from its centre c has passed the point of the pupil that the
+//! micro-lens images there. An ideal main lens sends all light from a point to one pinhole image p, and c − p = A w, with
+//! A = 1/(γ − 1) for a line of slope γ. A real lens displaces each ray by E(w) where it meets the array:
 //!
 //!   c − p = A w + E(w),  E(w) = S w (|w|² − z²) + C (2 w (h·w) + h |w|²) + T h (h·w),
 //!
-//! spherical aberration, coma and astigmatism of the third order (Seidel) at the place h from the middle of the
-//! image. E does not depend on the distance of the point: what turns a ray at the pupil by an angle moves it
-//! at the array by D times that angle. Field curvature and distortion change A and p of each corner, which are
-//! free anyway.
+//! The terms are spherical aberration, coma and astigmatism of the third order (Seidel), where h is the position relative to
+//! the middle of the image. E does not depend on the distance of the point: a ray deflected by an angle at the pupil moves by D
+//! times this angle at the array. Field curvature and distortion change A and p of each corner, which are free anyway.
 //!
-//! Straightened places w + E(w)/A lie on the line of a corner, which so is that of rays near the middle of the
-//! pupil, focused as those through the zone z are. Which zone is a choice: an S with another z is the same with
-//! another A. With z² = 2a²/3, the best focus, S and A are hardly correlated, and S is often not known well.
+//! Corrected positions w + E(w)/A lie on the line of a corner: the line of rays near the middle of the pupil, which are focused
+//! like the rays through the zone z. The choice of the zone is free: an S with another z equals the same S with another A. With
+//! z² = 2a²/3, the best focus, S and A are hardly correlated; S is often not well determined.
 //!
-//! Each ray of the blur is moved by E at its own place in the pupil. A blur that is the same for all hides three
-//! quarters of the aberration, and turns them into errors of the places.
+//! E displaces each ray of the blur according to its own point of the pupil. The same blur for all rays would hide three
+//! quarters of the aberration, and turn them into errors of position.
 
 use nalgebra::{Scalar, Vector2, Vector3};
 
 /// Aberrations of the third order, on the scale of micro-images.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Aberration {
-    /// Where h is 0, px.
+    /// Point of the image where h = 0, px.
     pub middle_px: Vector2<f64>,
-    /// z², px².
+    /// Square z² of the zone, px².
     pub zone_px2: f64,
-    /// S, C and T, px⁻².
+    /// Coefficients S, C and T, px⁻².
     pub coefficients_per_px2: Vector3<f64>,
 }
 
-/// E(w)/A: how far the aberrations bend the line of a corner in one micro-image.
+/// Transverse aberration E(w)/A of a corner in one micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Bend<T: Scalar = f64> {
-    /// h, px.
+    /// Position h, px.
     pub field: Vector2<T>,
-    /// z², px².
+    /// Square z² of the zone, px².
     pub zone2: T,
-    /// S, C and T over A, px⁻².
+    /// Coefficients S, C and T over A, px⁻².
     pub coefficients: Vector3<T>,
 }
 
-/// z² over the square of the pupil's radius.
+/// z² over the squared radius of the pupil.
 const ZONE: f64 = 2.0 / 3.0;
 impl Aberration {
-    /// None, about the middle of the image, for a pupil of this radius.
+    /// Creates an ideal main lens, for a pupil of this radius, with h = 0 at `middle_px`.
     pub(crate) fn none(middle_px: Vector2<f64>, pupil_px: f64) -> Self {
         let zone_px2 = ZONE * pupil_px.powi(2);
         Self { middle_px, zone_px2, coefficients_per_px2: Vector3::zeros() }
     }
 
-    /// What it does in the micro-image about `center` to a corner whose line has a slope.
+    /// Returns the aberration in the micro-image about `center`, for a corner with a line of this slope.
     pub(crate) fn bend(&self, center: &Vector2<f64>, slope: f64) -> Bend {
         Bend {
             field: center - self.middle_px,
@@ -61,19 +59,19 @@ impl Aberration {
         }
     }
 
-    /// With S, C and T changed.
+    /// Returns the aberrations with a change added to S, C and T.
     pub(crate) fn changed(self, change: &Vector3<f64>) -> Self {
         Self { coefficients_per_px2: self.coefficients_per_px2 + change, ..self }
     }
 }
 
 impl Bend {
-    /// An ideal main lens.
+    /// Creates the aberration of an ideal main lens, which is 0.
     pub fn none() -> Self {
         Self { field: Vector2::zeros(), zone2: 0.0, coefficients: Vector3::zeros() }
     }
 
-    /// In single precision, as the light.
+    /// Returns the aberration in single precision, like the light.
     #[allow(clippy::cast_possible_truncation)]
     pub fn in_single(&self) -> Bend<f32> {
         Bend {
@@ -85,7 +83,7 @@ impl Bend {
 }
 
 impl Bend<f32> {
-    /// A bound of |E(w)/A| in a pupil of this radius, px.
+    /// Returns an upper bound of |E(w)/A| in a pupil of this radius, px.
     pub fn largest(&self, pupil: f32) -> f32 {
         let [spherical, coma, astigmatism] = self.coefficients.map(f32::abs).into();
         let (square, field) = (pupil * pupil, self.field.norm());
@@ -97,7 +95,7 @@ impl Bend<f32> {
 
 #[cfg(test)]
 impl Bend {
-    /// What one unit of S/A, C/A and T/A does at a place w of the pupil, px³.
+    /// Returns the derivatives of E(w)/A by S/A, C/A and T/A at the point w of the pupil, px³.
     pub fn terms(&self, pupil: &Vector2<f64>) -> nalgebra::Matrix2x3<f64> {
         let square = pupil.norm_squared();
         let along = self.field.dot(pupil);
@@ -108,7 +106,7 @@ impl Bend {
         ])
     }
 
-    /// E(w)/A, px.
+    /// Returns E(w)/A, px.
     pub fn at(&self, pupil: &Vector2<f64>) -> Vector2<f64> {
         self.terms(pupil) * self.coefficients
     }
@@ -120,7 +118,7 @@ mod tests {
 
     use super::*;
 
-    /// By hand: with h = (100, 0) and w = (3, 4), |w|² is 25 and h·w is 300.
+    /// Compares with terms calculated by hand: for h = (100, 0) and w = (3, 4), |w|² is 25 and h·w is 300.
     #[test]
     fn the_terms_are_those_of_seidel() {
         let aberration = Aberration::none(Vector2::zeros(), 6.0);

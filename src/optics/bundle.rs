@@ -1,18 +1,17 @@
-//! The rays that reach the pixels of a micro-image, as a sum over nodes of the opening.
+//! Rays that reach the pixels of a micro-image, as a sum over nodes of the opening.
 //!
-//! A node is a normal distribution about a place w of the opening, with the variance c along an axis
-//! ([`super::quadrature`]). A pixel collects the light about its place p with the variance s², that of its square and of the
-//! point spread. Over both, the places y = p − q w in the pupil and o = p − ρ w in the sharp image are normally distributed,
-//! with the variances s² + q² c and s² + ρ² c and the covariance s² + ρ q c. The rim of the pupil cuts y off ([`Rim`]): what
-//! is left has the part ⟨Φ⟩ of the light, a mean further inwards, less variance, and a third moment, and o follows by its
-//! covariance with y. Edges of the board that are not sharp add their own variance v to that of o.
+//! A node is a normal distribution about a point w of the opening, with the variance c along an axis ([`super::quadrature`]). A
+//! pixel collects light about its position p with the variance s², the sum of its square and the point spread. The points
+//! y = p − q w in the pupil and o = p − ρ w in the sharp image are therefore normally distributed, with the variances s² + q² c
+//! and s² + ρ² c and the covariance s² + ρ q c. The rim of the pupil truncates the distribution of y ([`Rim`]). The rest has
+//! the part ⟨Φ⟩ of the light, a mean further inwards, a smaller variance, and a third moment; o follows by its covariance with
+//! y. Edges of the board that are not sharp add the excess edge variance v to the variance of o.
 //!
-//! A corner of a checkerboard is the product of two steps from −1 to 1. Its mean over a node is that of two edges seen through
-//! a normal distribution of two dimensions, with the terms of Edgeworth's series for the third moments and for the fourth
-//! cumulants of a square pixel (across an edge at θ: −(sin⁴ θ + cos⁴ θ)/120). Derivatives leave the third and fourth moments
-//! out.
+//! A corner of a checkerboard is the product of two steps from −1 to 1. Its mean over a node is the mean over a two-dimensional
+//! normal distribution, with the terms of Edgeworth's series for the third moments and for the fourth cumulants of a square
+//! pixel (across an edge at θ: −(sin⁴ θ + cos⁴ θ)/120). Derivatives neglect the third and fourth moments.
 
-// Only what is inlined into a dispatched function is compiled for its registers.
+// Only functions inlined into a dispatched function are compiled for its registers.
 #![allow(clippy::inline_always)]
 
 use nalgebra::Vector2;
@@ -24,54 +23,54 @@ use super::response::{Obliquity, Response};
 use super::rim::{Cut, Rim, Step};
 use crate::numerics::simd::Lanes;
 
-/// What the light of a micro-image depends on, and what all of its rays have in common.
+/// Optics of a micro-image, which all of its rays share.
 #[derive(Debug, Clone)]
 pub(crate) struct Bundle {
-    /// ρ, px.
+    /// Blur radius ρ, px.
     rho: f32,
-    /// q, px.
+    /// Blur radius q of the pupil, px.
     q: f32,
-    /// a, px.
+    /// Radius a of the pupil, px.
     pupil: f32,
     /// Variance of a pixel with its point spread along an axis, px².
     pixel: f32,
-    /// Variance along an axis by which edges are wider than that, px².
+    /// Excess edge variance v along an axis, px².
     wider: f32,
-    /// Half the micro-image pitch, px: places w of the opening in px.
+    /// Half the micro-image pitch, px, which converts w to px.
     half_pitch: f32,
     response: Response,
     bend: Bend<f32>,
     quadrature: &'static Quadrature,
 }
 
-/// A corner of a checkerboard in the sharp image.
+/// Corner of a checkerboard in the sharp image.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CornerEdges {
-    /// Its place, px.
+    /// Position, px.
     pub place: Vector2<f64>,
     /// Directions of both edges, rad.
     pub angles: [f64; 2],
 }
 
-/// Quantities that the light of a corner depends on, in the order of the columns of [`CornerLight`].
+/// Quantities that the light of a corner depends on: the columns of [`CornerLight`], in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Column {
-    /// Not a derivative: the mean of the product of both steps.
+    /// Mean of the product of both steps; the only column that is no derivative.
     Shape,
-    /// Place of the corner along u and v, per px.
+    /// Position of the corner along u and v, per px.
     U,
     V,
-    /// ρ, per px.
+    /// Blur radius ρ, per px.
     BlurRadius,
-    /// v, per px².
+    /// Excess edge variance v, per px².
     EdgeVariance,
-    /// q with ρ held, per px.
+    /// Blur radius q of the pupil with ρ held, per px.
     PupilBlurRadius,
-    /// a, per px.
+    /// Radius a of the pupil, per px.
     Pupil,
     /// Variance of the point spread, per px².
     PointSpread,
-    /// H, per px⁻².
+    /// Decrease H of the angular response, per px⁻².
     FallOff,
     /// Coefficients of spherical aberration, coma and astigmatism over A, px³.
     Spherical,
@@ -79,23 +78,23 @@ pub(crate) enum Column {
     Astigmatism,
 }
 
-/// Number of columns, and of those up to the derivatives by the place.
+/// Number of all columns, and of the columns up to the derivatives by position.
 const COLUMNS: usize = 12;
 const PLACE_COLUMNS: usize = 3;
-/// Derivatives that change which light counts: q, a, the point spread and H.
+/// Quantities that also change white light: q, a, the point spread and H.
 const OF_LIGHT: [Column; 4] =
     [Column::PupilBlurRadius, Column::Pupil, Column::PointSpread, Column::FallOff];
 
-/// The light of a corner, pixel by pixel, relative to white light, with its derivatives.
+/// Light of a corner relative to white light, by pixel, with its derivatives.
 #[derive(Debug, Default)]
 pub(crate) struct CornerLight {
     columns: [Vec<f32>; COLUMNS],
-    /// Pixels that see the first edge alone, the second alone, and both, with the sign of the step that they do not see.
+    /// Pixels that see only the first edge, only the second, and both, with the sign of the step that they do not see.
     on_edges: [Vec<(u32, f32)>; 3],
 }
 
 impl CornerLight {
-    /// A column, by pixel.
+    /// Returns a column, by pixel.
     pub fn column(&self, column: Column) -> &[f32] {
         &self.columns[column as usize]
     }
@@ -111,25 +110,25 @@ impl CornerLight {
     }
 }
 
-/// Whether all derivatives are computed, or those by the place alone.
+/// Values of the parameter `WHICH`: all derivatives, or only those by position.
 const ALL: bool = true;
 const OF_PLACE: bool = false;
 /// Indices of [`CornerLight::on_edges`].
 const FIRST: usize = 0;
 const SECOND: usize = 1;
 const BOTH: usize = 2;
-/// Most lanes of a register.
+/// Largest number of lanes of a register.
 const MOST_LANES: usize = 16;
-/// Edges that are so many standard deviations beyond the blur of a pixel do not show in it.
+/// Distance from the blur of a pixel, in standard deviations, beyond which an edge has no effect on it.
 const FAR: f32 = 3.0;
-/// So many standard deviations inside the rim of the pupil it cuts nothing off.
+/// Distance inside the rim of the pupil, in standard deviations, from which the rim has no effect.
 const WHOLE: f32 = 4.0;
-/// Pixels with less than this part of the light have none.
+/// Smallest white light, as a part of the whole, that a pixel is divided by.
 const DARK: f32 = 1e-6;
 
 impl Bundle {
-    /// Of a point with the blur radius ρ behind a pupil of radius a whose own blur radius is q, px, with this variance of the
-    /// point spread along an axis, px².
+    /// Creates the bundle of a point with the blur radius ρ, behind a pupil of radius a with the blur radius q, px. The
+    /// variance of the point spread is along an axis, px².
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn new(rho_px: f64, q_px: f64, pupil_px: f64, point_spread_px2: f64) -> Self {
         Self {
@@ -145,31 +144,31 @@ impl Bundle {
         }
     }
 
-    /// With an angular response.
+    /// Sets the angular response.
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn oblique(self, law: &Obliquity) -> Self {
         Self { half_pitch: law.half_pitch_px as f32, response: Response::new(law), ..self }
     }
 
-    /// Behind a main lens with aberrations.
+    /// Sets the aberrations of the main lens.
     pub fn aberrated(self, bend: &Bend) -> Self {
         Self { bend: bend.in_single(), ..self }
     }
 
-    /// With edges of the board that are wider by a variance along an axis, px².
+    /// Sets the excess edge variance along an axis, px².
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     pub fn wider(self, px2: f64) -> Self {
         Self { wider: px2 as f32, ..self }
     }
 
-    /// The light of a corner at the places (x, y) of pixels, put in the place of another.
+    /// Computes the light of a corner at the pixel positions (x, y), and overwrites `light`.
     pub fn corner_light(&self, edges: &CornerEdges, x: &[f32], y: &[f32], light: &mut CornerLight) {
         light.clear(x.len());
         let edges = &Edges::new(edges);
         Arch::new().dispatch(OfCorner::<ALL> { bundle: self, edges, x, y, light });
     }
 
-    /// The same with derivatives by the place alone; all others are 0.
+    /// Computes the light with derivatives by position alone; all others are 0.
     pub fn corner_shape(&self, edges: &CornerEdges, x: &[f32], y: &[f32], light: &mut CornerLight) {
         light.clear(x.len());
         let edges = &Edges::new(edges);
@@ -183,7 +182,7 @@ struct Edge {
     /// Sine and cosine of its direction.
     s: f32,
     c: f32,
-    /// Fourth cumulant of places in a pixel across it, px⁴.
+    /// Fourth cumulant of points in a pixel across the edge, px⁴.
     fourth: f32,
 }
 
@@ -193,7 +192,7 @@ struct Edges {
     each: [Edge; 2],
     /// Cosine of the angle between them.
     cosine: f32,
-    /// Fourth cumulants of places in a pixel across both edges, px⁴: of the first three, two and one times.
+    /// Mixed fourth cumulants of points in a pixel, px⁴, with the first edge three times, twice and once.
     mixed: [f32; 3],
 }
 
@@ -202,7 +201,7 @@ impl Edges {
     fn new(corner: &CornerEdges) -> Self {
         let [[s1, c1], [s2, c2]] =
             corner.angles.map(|angle| [angle.sin() as f32, angle.cos() as f32]);
-        // Along either axis of the pixel it is −1/120, and the axes are independent.
+        // The cumulant along either axis of the pixel is −1/120, and the axes are independent.
         let fourth = |first: i32, second: i32| {
             -(s1.powi(first) * s2.powi(second) + c1.powi(first) * c2.powi(second)) / 120.0
         };
@@ -217,28 +216,27 @@ impl Edges {
         }
     }
 
-    /// Distances of a place from both.
+    /// Returns the distances of a position from both edges.
     fn distances(&self, x: f32, y: f32) -> [f32; 2] {
         let (x, y) = (x - self.place[0], y - self.place[1]);
         self.each.map(|Edge { s, c, .. }| c * y - s * x)
     }
 }
 
-/// What the second moments of a node depend on, with its covariances in standard deviations of the place in the pupil.
+/// Second moments of a node, with covariances in standard deviations of the point in the pupil.
 struct Moments {
     rim: Rim,
-    /// By how much o follows y: cov(o, y)/σ, and its derivatives by ρ, q and s².
+    /// Covariance of o with y, cov(o, y)/σ, and its derivatives by ρ, q and s².
     follows: f32,
     follows_by_rho: f32,
     follows_by_q: f32,
     follows_by_spread: f32,
     /// Variance of o along an axis.
     origin: f32,
-    /// 1/σ, and how σ² changes with q.
+    /// 1/σ, and the derivative of σ² by q.
     per_spread: f32,
     variance_by_q: f32,
-    /// Square of the distance from the middle of the pupil up to which its rim leaves all light, px²; less than 0 if there is
-    /// none.
+    /// Squared distance from the middle of the pupil, px², up to which its rim has no effect; negative if there is none.
     whole: f32,
 }
 
@@ -281,7 +279,7 @@ impl<const WHICH: bool> WithSimd for OfCorner<'_, WHICH> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { bundle, edges, x, y, light } = self;
         let moments = Moments::new(bundle);
-        // Beyond this distance from an edge no ray of a pixel comes from its other side.
+        // Beyond this distance from an edge, no ray of a pixel comes from its other side.
         let spread = moments.origin.sqrt() + moments.follows.abs();
         let reach = bundle.rho.abs() * bundle.quadrature.radius
             + FAR * spread
@@ -328,30 +326,30 @@ impl<const WHICH: bool> WithSimd for OfCorner<'_, WHICH> {
     }
 }
 
-/// What a pixel sees of edges through a node.
+/// Edges as a pixel sees them through a node.
 struct Seen<S: Simd> {
-    /// The mean of the product of their steps.
+    /// Mean of the product of their steps.
     shape: Lanes<S>,
-    /// Derivatives by the place of the corner.
+    /// Derivatives by the position of the corner.
     by_u: Lanes<S>,
     by_v: Lanes<S>,
-    /// By the variance of o in all directions.
+    /// Derivative by the variance of o in all directions.
     by_width: Lanes<S>,
-    /// By the variance that the rim of the pupil leaves out across it.
+    /// Derivative by the decrease of the variance across the rim of the pupil.
     by_narrower: Lanes<S>,
 }
 
-/// Where the rays of a pixel through a node come from.
+/// Points of the sharp image that the rays of a pixel through a node come from.
 struct Rays<S: Simd> {
-    /// The mean of o.
+    /// Mean of o.
     mean: [Lanes<S>; 2],
-    /// Its variance along the rim, and by how much that across it is less.
+    /// Variance of o along the rim, and its further decrease across the rim.
     variance: Lanes<S>,
     narrower: Lanes<S>,
     /// Direction across the rim, outwards.
     outwards: [Lanes<S>; 2],
     cut: Cut<S>,
-    /// The cube of cov(o, y)/σ.
+    /// Cube of cov(o, y)/σ.
     cubed: f32,
 }
 
@@ -360,13 +358,13 @@ trait Steps {
     fn seen<S: Simd>(&self, simd: S, rays: &Rays<S>) -> Seen<S>;
 }
 
-/// An edge far from the other one: a single step.
+/// Single step: an edge far from the other one.
 struct OneEdge {
     edge: Edge,
     place: [f32; 2],
 }
 
-/// Distance of the mean ray from an edge, the direction of the rim across and along that edge, and the edge as the rays see it.
+/// Returns the components of the direction outwards across and along an edge, and the step of the edge, blurred by the rays.
 #[inline(always)]
 fn across<S: Simd>(
     simd: S,
@@ -427,7 +425,7 @@ impl Steps for Edges {
     }
 }
 
-/// The columns of some pixels.
+/// Computes the columns of some pixels.
 #[inline(always)]
 fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
     simd: S,
@@ -443,18 +441,18 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
     let [spherical, coma, astigmatism] = bundle.bend.coefficients.into();
     let mut white = Lanes::splat(simd, 0.0);
     let mut columns = [Lanes::splat(simd, 0.0); COLUMNS];
-    // How white light changes with those of OF_LIGHT.
+    // Derivatives of white light by the quantities of `OF_LIGHT`.
     let mut white_by = [Lanes::splat(simd, 0.0); OF_LIGHT.len()];
     for node in &bundle.quadrature.nodes {
         let ray = bundle.response.light(simd, [x + node.x * half_pitch, y + node.y * half_pitch]);
-        // More light comes from the brighter side of the pixel and of the node.
+        // The brighter side of the pixel and of the node has more weight.
         let [by_x, by_y] = ray.gradient;
         let (p_x, p_y) = (by_x.mul_add_scalar(pixel, x), by_y.mul_add_scalar(pixel, y));
         let in_cell = cell * half_pitch;
         let (w_x, w_y) = (by_x * in_cell + node.x, by_y * in_cell + node.y);
         let (y_x, y_y) = (p_x - w_x * q, p_y - w_y * q);
         let square = y_x.mul_add(y_x, y_y * y_y);
-        // Most places are so far inside the pupil that its rim leaves them as they are.
+        // Most points are so far inside the pupil that its rim has no effect.
         let (cut, [out_x, out_y]) = if square.largest() < moments.whole {
             (Cut::none(simd), [Lanes::splat(simd, 0.0); 2])
         } else {
@@ -464,7 +462,7 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
         };
         let light = ray.light * cut.visible * node.weight;
 
-        // Where in the pupil the light comes through, and what the aberrations add.
+        // The aberrations are taken at the mean point of the pupil that the light passes.
         let inwards = cut.mean * moments.per_spread.recip();
         let terms = seidel_terms(&bundle.bend, [y_x - inwards * out_x, y_y - inwards * out_y]);
         let [by_spherical, by_coma, by_astigmatism] = terms;
@@ -493,16 +491,16 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
         }
         let by_place = [by_u, by_v];
         let outwards = by_origin(by_place, outwards);
-        // By what the rim leaves out of the variances.
+        // Derivative by the decreases of the variances that the rim causes.
         let by_cut = cut.sideways * by_width + cut.narrower * by_narrower;
-        // By how much o follows y.
+        // Derivative by cov(o, y)/σ.
         let by_follows = -(outwards * cut.mean) - by_cut * (2.0 * follows);
         let by_distance = outwards * cut.mean_by_distance() * (-follows);
 
         let by_rho = by_origin(by_place, [-w_x, -w_y])
             + by_follows * moments.follows_by_rho
             + by_width * (2.0 * rho * cell);
-        // z, by q, a and the point spread.
+        // Derivatives of z by q, a and the point spread.
         let (z_by_pupil, z_by_variance) = moments.rim.derivatives(cut.distance);
         let z_by_q = (w_x * out_x + w_y * out_y) * moments.per_spread
             + z_by_variance * moments.variance_by_q;
@@ -542,7 +540,7 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
     columns
 }
 
-/// Divides sums of light by white light, which changes itself with the quantities of [`OF_LIGHT`].
+/// Divides sums of light by white light, which depends on the quantities of [`OF_LIGHT`] too.
 #[inline(always)]
 fn relative_to_white<S: Simd>(
     columns: &mut [Lanes<S>; COLUMNS],
@@ -559,7 +557,7 @@ fn relative_to_white<S: Simd>(
     }
 }
 
-/// What one unit of spherical aberration, coma and astigmatism over A does at a place of the pupil, px³: see
+/// Returns the displacements by one unit of spherical aberration, coma and astigmatism over A at a point of the pupil, px³; see
 /// [`super::Aberration`].
 #[inline(always)]
 fn seidel_terms<S: Simd>(bend: &Bend<f32>, [x, y]: [Lanes<S>; 2]) -> [[Lanes<S>; 2]; 3] {
@@ -574,7 +572,7 @@ fn seidel_terms<S: Simd>(bend: &Bend<f32>, [x, y]: [Lanes<S>; 2]) -> [[Lanes<S>;
     ]
 }
 
-/// How the light changes as the place o moves, from how it does with the place of the corner.
+/// Returns the derivative by a motion of the point o, from the derivatives by the position of the corner.
 #[inline(always)]
 fn by_origin<S: Simd>(by_place: [Lanes<S>; 2], moved: [Lanes<S>; 2]) -> Lanes<S> {
     -by_place[0].mul_add(moved[0], by_place[1] * moved[1])
@@ -603,8 +601,8 @@ mod tests {
         light
     }
 
-    /// By how much corners of exact light seem further outwards, px, and ln |ρ| and v where places and levels are free: alone
-    /// and together, in the mean of several directions.
+    /// Fits corners to exact light. Returns the mean outward error of position over several directions, px, and the errors of
+    /// ln |ρ| alone, and of ln |ρ| and v together, with positions and levels free.
     fn errors(oracle: &Oracle, distance: f64) -> [f64; 4] {
         let (pixels, corners, places) = (oracle.pixels(), corners_at(distance), places(oracle));
         let exact: Vec<(f64, Vec<f64>)> =
@@ -618,7 +616,7 @@ mod tests {
             let (mut mixed, mut own) = (nalgebra::Matrix4x2::zeros(), Matrix2::zeros());
             let mut second = Vector2::zeros();
             for (i, (white, sums)) in exact.iter().enumerate() {
-                // As the detection weights pixels.
+                // The detection weights pixels in the same way.
                 let part = white / brightest;
                 if part < 0.06 {
                     continue;
@@ -645,8 +643,7 @@ mod tests {
         [outwards, right.x / information[(0, 0)] / oracle.rho, both.x / oracle.rho, both.y]
     }
 
-    /// Corners and blur radii are found where they are, for lenses that the pupil cuts and those that it does not, up to blur
-    /// radii of 4 px.
+    /// Checks the errors of corners and blur radii up to 4 px, for pupils that cut micro-images and for others.
     #[test]
     fn exact_light_has_the_place_and_the_blur_radius_that_it_has() {
         for (rho, q, pupil, of_pixels_per_px2) in [
@@ -694,11 +691,11 @@ mod tests {
         }
     }
 
-    /// A column, a step of what it is by, the light with that changed, and the largest error of the column.
+    /// Column, step of its quantity, light with the quantity changed by a step, and largest relative error of the column.
     type Change<'a> = (Column, f64, &'a dyn Fn(f64) -> CornerLight, f64);
 
-    /// Derivatives are those of the light, but for third and fourth moments: by differences, in the root mean square over all
-    /// pixels.
+    /// Compares derivatives with differences of the light, as the root mean square over all pixels. They neglect third and
+    /// fourth moments.
     #[test]
     fn derivatives_are_those_of_the_light() {
         let oracle = Oracle { point_spread_px2: 0.1, ..Oracle::default() };
@@ -707,7 +704,7 @@ mod tests {
         let bend = |coefficients: [f64; 3]| {
             Aberration::none(middle, oracle.pupil).changed(&coefficients.into()).bend(&field, 0.75)
         };
-        // Over A: −1/4 of these.
+        // Coefficients over A are −1/4 of these.
         let known = [2e-4, 1e-6, -2e-7];
         let all = |rho: f64, q: f64, pupil: f64, spread: f64, within: f64, wider: f64| {
             let law = Obliquity { within_per_px2: within, ..oracle.law() };

@@ -1,19 +1,20 @@
-//! The light of a micro-image: which rays reach a pixel, and what they show.
+//! Light of a micro-image: the rays that reach a pixel, and where they come from.
 //!
-//! All lengths are in pixels, all places from the centre of the micro-image.
+//! Lengths are in pixels. Positions are relative to the centre of the micro-image.
 //!
-//! A ray to the place p of a pixel passes the opening of the micro-lens at w, in units of its radius and half a turn from where
-//! it lies. It comes from the place
+//! A ray to the position p of a pixel passes the opening of the micro-lens at −w, in units of the radius of the opening. It
+//! comes from the point
 //!
 //! ```text
 //! y = p − q w        of the pupil, seen through the middle of the micro-lens, and from
 //! o = p − ρ w + E/A  of the sharp image,
 //! ```
 //!
-//! with q and ρ the blur radii of the pupil and of the image (paper, Eq. radiusfinal) and E/A the transverse aberration of the
-//! main lens at y ([`Aberration`]). It counts if |y| < a, the radius of the pupil, by the angular response of the pixel
-//! ([`Obliquity`]). A pixel collects the rays of its square, blurred by the point spread. White light is the sum of these rays,
-//! and a corner of a checkerboard the mean of what they show of it ([`Bundle`]).
+//! where q and ρ are the blur radii of the pupil and of the image (paper, Eq. radiusfinal), and E/A is the transverse
+//! aberration of the main lens at y ([`Aberration`]). The ray counts if |y| < a, the radius of the pupil, with the angular
+//! response of the pixel as weight ([`Obliquity`]). A pixel collects the rays of its square, blurred by the point spread. White
+//! light is the sum of these rays. The light of a checkerboard corner, relative to white light, is the mean of the checkerboard
+//! pattern over them ([`Bundle`]).
 
 mod aberration;
 mod bundle;

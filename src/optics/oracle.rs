@@ -1,28 +1,28 @@
-//! The light of a micro-image as a sum over very many rays, in double precision: the reference of [`super::Bundle`] in tests.
+//! Light of a micro-image as a sum over very many rays, in double precision: the reference for tests of [`super::Bundle`].
 
 use nalgebra::Vector2;
 
 use super::{Bundle, CornerEdges, Obliquity};
 
-/// How far the places reach over which a point spread is summed, in its standard deviations.
+/// Reach of the summation over the point spread, in its standard deviations.
 const REACH: f64 = 4.5;
 
-/// A micro-image behind an ideal main lens, with cos⁴.
+/// Micro-image behind an ideal main lens, with a cos⁴ law.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Oracle {
-    /// ρ, px.
+    /// Blur radius ρ, px.
     pub rho: f64,
-    /// q, px.
+    /// Blur radius q of the pupil, px.
     pub q: f64,
-    /// a, px.
+    /// Radius a of the pupil, px.
     pub pupil: f64,
     /// Variance of the point spread along an axis, px².
     pub point_spread_px2: f64,
-    /// What pixels add to cos⁴, px⁻².
+    /// Part of H that the pixels add to cos⁴, px⁻².
     pub of_pixels_per_px2: f64,
-    /// Number of places in a pixel along an axis.
+    /// Number of sample points in a pixel along an axis.
     pub of_pixel: i32,
-    /// Its square times three is the number of points of the micro-lens.
+    /// Square root of a third of the number of sample points on the micro-lens.
     pub rings: i32,
 }
 
@@ -30,7 +30,7 @@ pub(crate) const HALF_PITCH: f64 = 11.65;
 const WITHIN: f64 = 4.0 / (59.0 * 59.0);
 
 impl Default for Oracle {
-    /// The lens of an R12 whose micro-images are most vignetted.
+    /// Returns the lens type of an R12 whose micro-images are most vignetted.
     fn default() -> Self {
         Self {
             rho: -3.4,
@@ -45,7 +45,7 @@ impl Default for Oracle {
 }
 
 impl Oracle {
-    /// How light falls off.
+    /// Returns the angular response.
     pub fn law(&self) -> Obliquity {
         Obliquity {
             within_per_px2: WITHIN + self.of_pixels_per_px2,
@@ -55,23 +55,23 @@ impl Oracle {
         }
     }
 
-    /// The bundle that stands for it.
+    /// Returns the bundle with the same optics.
     pub fn bundle(&self) -> Bundle {
         Bundle::new(self.rho, self.q, self.pupil, self.point_spread_px2).oblique(&self.law())
     }
 
-    /// The white light of a pixel that sees the whole opening at normal incidence.
+    /// Returns the white light of a pixel that sees the whole opening at normal incidence.
     pub fn whole_disc(&self) -> f64 {
         let along: f64 = self.along().iter().map(|(_, weight)| weight).sum();
         f64::from(3 * self.rings * self.rings) * along * along
     }
 
-    /// Radius of the micro-image, px.
+    /// Returns the radius of the micro-image, px.
     pub fn outer_px(&self) -> f64 {
         (self.pupil + self.q.abs()).min(HALF_PITCH)
     }
 
-    /// Places from the middle of a pixel along an axis, px, and their weights.
+    /// Returns sample points along an axis from the middle of a pixel, px, and their weights.
     fn along(&self) -> Vec<(f64, f64)> {
         let spread = self.point_spread_px2.sqrt();
         let reach = 0.5 + REACH * spread;
@@ -83,12 +83,12 @@ impl Oracle {
         all.map(|x| (x, below(x + 0.5) - below(x - 0.5))).collect()
     }
 
-    /// White light of the pixel at (x, y), and for each corner the sum of its rays times the product of both steps.
+    /// Returns the white light of the pixel at (x, y), and for each corner the sum over rays of the product of both steps.
     pub fn of_pixel(&self, [x, y]: [f64; 2], corners: &[CornerEdges]) -> (f64, Vec<f64>) {
         let count = 3 * self.rings * self.rings;
         let on_lens = |i: i32| {
             let radius = ((f64::from(i) + 0.5) / f64::from(count)).sqrt();
-            // By the golden angle no two points are side by side.
+            // The golden angle keeps points apart.
             let (sin, cos) = (f64::from(i) * 2.399_963_229_728_653).sin_cos();
             Vector2::new(cos, sin) * radius
         };
@@ -114,14 +114,14 @@ impl Oracle {
         (white, sums)
     }
 
-    /// The pixels of its micro-image.
+    /// Returns the positions of all pixels of the micro-image.
     pub fn pixels(&self) -> Vec<[f64; 2]> {
         let all = (0..25 * 25).map(|i| [f64::from(i % 25) - 11.79, f64::from(i / 25) - 12.37]);
         all.filter(|[x, y]| x.hypot(*y) < self.outer_px()).collect()
     }
 }
 
-/// Corners at a distance from the centre, px, in several directions.
+/// Returns corners at a distance from the centre, px, in several directions.
 pub(crate) fn corners_at(distance: f64) -> [CornerEdges; 6] {
     std::array::from_fn(|direction| {
         let turn = direction as f64 * std::f64::consts::TAU / 6.0 + 0.1;

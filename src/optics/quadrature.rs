@@ -1,18 +1,18 @@
 //! Quadratures of the opening of a micro-lens.
 //!
-//! The opening is a uniform disc of radius 1. A quadrature stands for it by a few normal distributions of one width: nodes on
-//! rings, with weights. Radii, weights and width minimise ∫ |F(k) − F̂(k)|² k⁻² exp(−s²k²) dk over all directions, the error of
-//! an edge seen through a pixel, where F is the Fourier transform of the disc, 2 J₁(k)/k, F̂ is the transform of the nodes, and s
-//! is 12^(−1/2) px over the blur radius. Beside that, the blur radius and the variance of edges that are fitted together to a
-//! disc by these nodes have no error. (A width that keeps the second moment of the disc instead makes blur radii 0.17 % too small
-//! and variances up to 0.02 px² too large, which is an aperture ratio wrong by 0.4 %. Cells of equal area need 61 nodes for the
-//! places and blur radii that these have with 24.)
+//! The opening is a uniform disc of radius 1. A quadrature replaces it by a few normal distributions of equal width, its nodes,
+//! on rings with weights. Radii, weights and width minimise ∫ |F(k) − F̂(k)|² k⁻² exp(−s²k²) dk over all directions, the error
+//! of an edge seen through a pixel. F is the Fourier transform of the disc, 2 J₁(k)/k, F̂ is the transform of the nodes, and s
+//! is 12^(−1/2) px over the blur radius. As a constraint, the blur radius and the edge variance have no error if both are
+//! fitted to a disc by these nodes. (A width that keeps the second moment of the disc instead makes blur radii 0.17 % too small
+//! and variances up to 0.02 px² too large, which is an error of 0.4 % of the aperture ratio. Cells of equal area need 61 nodes
+//! for the accuracy of positions and blur radii that 24 of these nodes reach.)
 
 use std::f32::consts::TAU;
 
-/// A ring of nodes: their number, radius and weight of each.
+/// Ring of nodes: their number, radius and weight of each.
 type Ring = (usize, f64, f64);
-/// Rings, the variance of a node along an axis, and the largest blur radius, px, whose edges they show to 0.2 %.
+/// Rings, variance of a node along an axis, and largest blur radius, px, for which edges are accurate to 0.2 %.
 type Design = (&'static [Ring], f64, f64);
 
 const DESIGNS: [Design; 3] = [
@@ -25,17 +25,17 @@ const DESIGNS: [Design; 3] = [
     ),
 ];
 
-/// A node of the opening.
+/// Node of the opening.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Node {
-    /// Place.
+    /// Position.
     pub x: f32,
     pub y: f32,
     /// Share of the opening.
     pub weight: f32,
 }
 
-/// Nodes that stand for the opening.
+/// Nodes that replace the opening.
 #[derive(Debug)]
 pub(super) struct Quadrature {
     pub nodes: Vec<Node>,
@@ -46,7 +46,7 @@ pub(super) struct Quadrature {
 }
 
 impl Quadrature {
-    /// The cheapest one for a blur radius, px.
+    /// Returns the cheapest quadrature for a blur radius, px.
     pub fn of_blur(radius_px: f64) -> &'static Self {
         static ALL: std::sync::LazyLock<[Quadrature; DESIGNS.len()]> =
             std::sync::LazyLock::new(|| {
@@ -78,8 +78,8 @@ mod tests {
 
     use super::*;
 
-    /// What the nodes make wrong where an edge is seen through a pixel: the errors of ln ρ, of ln ρ beside the variance of the
-    /// edge, and of that, px²; and the root mean square error of the profile of the edge.
+    /// Returns the errors of an edge seen through a pixel: of ln ρ with the edge variance known, of ln ρ and of the edge
+    /// variance, px², if both are fitted, and the root mean square error of the profile.
     fn errors(quadrature: &Quadrature, rho: f64) -> [f64; 4] {
         let pixel = 1.0 / 12.0 / rho.powi(2);
         let (step, angles) = (0.02, 12);
@@ -99,7 +99,7 @@ mod tests {
                 mean += re / f64::from(angles);
                 square += ((disc - re).powi(2) + im * im) / f64::from(angles);
             }
-            // By ln ρ, and by the variance in ρ².
+            // Derivatives by ln ρ, and by the variance in units of ρ².
             let by = Vector2::new(-2.0 * libm::jn(2, k), -0.5 * k * k * disc);
             let weight = (-pixel * k * k).exp() / (k * k) * step;
             normal += by * by.transpose() * weight;

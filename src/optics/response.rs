@@ -1,6 +1,6 @@
-//! How obliquely light reaches a micro-image, and the effect: natural vignetting, and what pixels add.
+//! Angular response inside a micro-image: natural vignetting and the response of pixels.
 
-// Only what is inlined into a dispatched function is compiled for its registers.
+// Only functions inlined into a dispatched function are compiled for its registers.
 #![allow(clippy::inline_always)]
 
 use nalgebra::Vector2;
@@ -8,24 +8,24 @@ use pulp::Simd;
 
 use crate::numerics::simd::Lanes;
 
-/// The fall-off of light inside a micro-image. Light from the point M of the micro-lens to the point y, both
-/// from their middles, changes by exp(−g·(y − M) − H |y − M|²/2).
+/// Angular response inside a micro-image. Light from the point M of the micro-lens to the point y, each relative to its middle,
+/// changes by exp(−g·(y − M) − H |y − M|²/2).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Obliquity {
-    /// g, px⁻¹: the micro-image lies off the axis.
+    /// Gradient g of a micro-image off the axis, px⁻¹.
     pub gradient_per_px: Vector2<f64>,
-    /// H, px⁻²: light is more oblique off the middle of the micro-image, n/d² for a law cosⁿ.
+    /// Decrease H off the middle of the micro-image, where light is more oblique, px⁻²: n/d² for a law cosⁿ.
     pub within_per_px2: f64,
-    /// The part of H that pixels add to cos⁴, px⁻²: their light is exponential in |y − M|². From 0 to H.
+    /// Part of H that the pixels add to cos⁴, px⁻², from 0 to H. Their response is exponential in |y − M|².
     pub of_pixels_per_px2: f64,
-    /// Δc/2, half the micro-image pitch, px. It stands for the radius ΔC/2 of the micro-lens, which is
-    /// smaller by the factor D/(D + d).
+    /// Half the micro-image pitch Δc/2, px. It stands for the radius ΔC/2 of the micro-lens, which is smaller by the factor
+    /// D/(D + d).
     pub half_pitch_px: f64,
 }
 
 impl Obliquity {
-    /// In the middle of the image, with H where the array is so far from the sensor: what H is above that of cos⁴
-    /// is due to the pixels.
+    /// Creates the response in the middle of the image for the distance from array to sensor. The pixels are taken to cause the
+    /// part of H above cos⁴.
     pub fn in_the_middle(within_per_px2: f64, mla_to_sensor_px: f64, half_pitch_px: f64) -> Self {
         let natural = 4.0 / mla_to_sensor_px.powi(2);
         let of_pixels_per_px2 = (within_per_px2 - natural).max(0.0);
@@ -33,42 +33,42 @@ impl Obliquity {
         Self { gradient_per_px, within_per_px2, of_pixels_per_px2, half_pitch_px }
     }
 
-    /// Light over that at normal incidence, in the middle of the image, from the mean square of the vectors from
-    /// the part of the micro-lens that it comes through to the pixel, px².
+    /// Returns light relative to normal incidence in the middle of the image. `square` is the mean square of the vectors to the
+    /// pixel from the points of the micro-lens that the light passes, px².
     pub(crate) fn light(&self, square: f64) -> f64 {
-        // To the fourth order of the angle, in which the two laws differ.
+        // The result is correct to the fourth order of the angle, in which the two laws differ.
         let natural = self.within_per_px2 - self.of_pixels_per_px2;
         (1.0 + (natural * square / 4.0).max(-0.5)).powi(-2)
             * (-self.of_pixels_per_px2 * square / 2.0).exp()
     }
 
-    /// The mean of [`Obliquity::light`] where squares have a variance, px⁴.
+    /// Returns the mean of [`Obliquity::light`] over squares with a variance, px⁴.
     pub(crate) fn mean_light(&self, square: f64, variance: f64) -> f64 {
         let pixels = self.of_pixels_per_px2;
         let natural = self.within_per_px2 - pixels;
         let natural = natural / (1.0 + (natural * square / 4.0).max(-0.5));
-        // Of the logarithm: −(natural + pixels)/2, and again natural²/8.
+        // The logarithm has the derivatives −(natural + pixels)/2 and natural²/8.
         let second = (natural + pixels).powi(2) / 4.0 + natural * natural / 8.0;
         self.light(square) * (1.0 + second * variance / 2.0)
     }
 }
 
-/// [`Obliquity::light`] in single precision.
+/// Angular response as in [`Obliquity::light`], in single precision.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Response {
     gradient: [f32; 2],
-    /// n/(4d²) of a law cosⁿ, px⁻².
+    /// Coefficient n/(4d²) of a law cosⁿ, px⁻².
     natural: f32,
-    /// Half the part of pixels, px⁻².
+    /// Half the part of H that the pixels add, px⁻².
     of_pixels: f32,
 }
 
-/// The light of a ray over that at normal incidence in the middle of the image.
+/// Light of a ray, relative to normal incidence in the middle of the image.
 pub(super) struct RayLight<S: Simd> {
     pub light: Lanes<S>,
-    /// Gradient of its logarithm with the place of the pixel, px⁻¹.
+    /// Gradient of the logarithm of the light with the position of the pixel, px⁻¹.
     pub gradient: [Lanes<S>; 2],
-    /// How its logarithm changes with H, px², and how the gradient of that does, px.
+    /// Derivatives by H: of the logarithm, px², and of its gradient, px.
     pub by_within: Lanes<S>,
     pub gradient_by_within: [Lanes<S>; 2],
 }
@@ -83,12 +83,12 @@ impl Response {
         }
     }
 
-    /// Of rays by the vectors from the point of the micro-lens to the pixel, px.
+    /// Returns the light of rays. Their vectors from the point of the micro-lens to the pixel are in px.
     #[inline(always)]
     pub fn light<S: Simd>(&self, simd: S, [x, y]: [Lanes<S>; 2]) -> RayLight<S> {
         let square = x.mul_add(x, y * y);
         let natural = ((square * self.natural).max(Lanes::splat(simd, -0.5)) + 1.0).recip();
-        // exp(−z) as a power that is not below 0; z is below 0.5 on sensors.
+        // A power that is never negative approximates exp(−z); z is below 0.5 on sensors.
         let z = x * self.gradient[0] + y * self.gradient[1] + square * self.of_pixels;
         let root = z
             .mul_add((z * (1.0 / 512.0)) - 1.0 / 16.0, Lanes::splat(simd, 1.0))
@@ -113,7 +113,7 @@ mod tests {
 
     use super::*;
 
-    /// In single precision the light is the same, and its derivatives are those of its logarithm.
+    /// Checks light in single precision, and the derivatives of its logarithm.
     #[test]
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn single_precision_is_enough() {

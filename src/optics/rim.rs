@@ -1,59 +1,59 @@
-//! Normal distributions that the rim of the pupil cuts off, and steps seen through normal distributions.
+//! Normal distributions truncated by the rim of the pupil, and steps blurred by normal distributions.
 
-// Only what is inlined into a dispatched function is compiled for its registers.
+// Only functions inlined into a dispatched function are compiled for its registers.
 #![allow(clippy::inline_always)]
 
 use pulp::Simd;
 
 use crate::numerics::simd::Lanes;
 
-/// Smaller parts of the light are none: of their tails the series say nothing.
+/// Smallest visible part of the light: the series do not hold for smaller tails.
 const LEAST: f32 = 1e-3;
-/// Variances along a normal are not below this, px².
+/// Smallest variance along a normal, px².
 const LEAST_PX2: f32 = 1e-3;
 
-/// The rim of the pupil, which cuts off the places that a pixel sees.
+/// Rim of the pupil, which truncates the distribution of points that a pixel sees.
 #[derive(Clone, Copy)]
 pub(super) struct Rim {
-    /// a, px.
+    /// Radius a of the pupil, px.
     pupil: f32,
     /// 1/σ, px⁻¹.
     per_spread: f32,
-    /// σ/a.
+    /// Ratio σ/a.
     per_pupil: f32,
 }
 
-/// What the rim leaves of the light about a place, in powers of σ. Places at t along the rim are t²/2a nearer to it than
-/// those at 0, so the distance z of the rim in σ has the variance σ²/2a²; angle brackets are means over that, to its first
-/// order. λ = ⟨φ(z)⟩/⟨Φ(z)⟩ and κ = λσ/a. What is said of the direction along the rim is an
-/// interpolation: right to the first order of σ/a near it, and in the limit far outside, where the variance is 1/(1 + κ).
+/// Moments of a normal distribution truncated by the rim, in powers of σ. A point at t along the rim is t²/2a nearer to the rim
+/// than the point at 0, so the distance z to the rim, in σ, has the variance σ²/2a². Angle brackets are means over this
+/// distribution of z, to first order in its variance. λ = ⟨φ(z)⟩/⟨Φ(z)⟩ and κ = λσ/a. Moments along the rim are an
+/// interpolation: correct to first order in σ/a near the rim, and in the limit far outside, where the variance is 1/(1 + κ).
 #[derive(Clone, Copy)]
 pub(super) struct Cut<S: Simd> {
-    /// Its part, ⟨Φ⟩.
+    /// Visible part ⟨Φ⟩.
     pub visible: Lanes<S>,
-    /// z.
+    /// Distance z to the rim, in σ.
     pub distance: Lanes<S>,
-    /// How far what is left is inwards on average: λ.
+    /// Mean shift λ inwards.
     pub mean: Lanes<S>,
-    /// By how much its variance is less along the rim: κ (1 + (z + λ) σ/a)/(1 + κ).
+    /// Decrease of the variance along the rim: κ (1 + (z + λ) σ/a)/(1 + κ).
     pub sideways: Lanes<S>,
-    /// By how much more it is less across the rim: ⟨zφ⟩/⟨Φ⟩ + λ², less that.
+    /// Further decrease of the variance across the rim: ⟨zφ⟩/⟨Φ⟩ + λ² minus `sideways`.
     pub narrower: Lanes<S>,
     /// Third central moment across the rim: −⟨(z² + 2) φ⟩/⟨Φ⟩ + 3λ (1 − ⟨zφ⟩/⟨Φ⟩) − 2λ³.
     skew: Lanes<S>,
-    /// Third moment once across and twice along it: −(⟨zφ⟩/⟨Φ⟩ + λ²) σ/a (1 + κ)⁻².
+    /// Third moment, once across and twice along the rim: −(⟨zφ⟩/⟨Φ⟩ + λ²) σ/a (1 + κ)⁻².
     skew_sideways: Lanes<S>,
 }
 
 impl Rim {
-    /// Of a pupil of radius a, px, for places with a variance along an axis, px².
+    /// Creates the rim of a pupil of radius a, px, for points with a variance along an axis, px².
     #[inline(always)]
     pub fn new(pupil: f32, variance: f32) -> Self {
         let spread = variance.sqrt();
         Self { pupil, per_spread: spread.recip(), per_pupil: spread / pupil }
     }
 
-    /// About a place at a distance from the middle of the pupil, px.
+    /// Truncates the distribution about a point at a distance from the middle of the pupil, px.
     #[inline(always)]
     pub fn cut<S: Simd>(&self, simd: S, from_middle: Lanes<S>) -> Cut<S> {
         let pupil = Lanes::splat(simd, self.pupil);
@@ -87,18 +87,18 @@ impl Rim {
         }
     }
 
-    /// How z changes with a, px⁻¹, and with the variance of the places, px⁻², at a z.
+    /// Returns the derivatives of z by a, px⁻¹, and by the variance of the points, px⁻².
     #[inline(always)]
     pub fn derivatives<S: Simd>(&self, z: Lanes<S>) -> (f32, Lanes<S>) {
         let by_pupil = self.per_spread * (1.0 + 0.5 * self.per_pupil * self.per_pupil);
-        // z = (a − r)/σ − σ/2a, where σ changes by 1/2σ.
+        // z = (a − r)/σ − σ/2a, and the derivative of σ by σ² is 1/2σ.
         let by_variance = (z + self.per_pupil) * (-0.5 * self.per_spread * self.per_spread);
         (by_pupil, by_variance)
     }
 }
 
 impl<S: Simd> Cut<S> {
-    /// Far inside the rim.
+    /// Creates the moments far inside the rim, where it has no effect.
     #[inline(always)]
     pub fn none(simd: S) -> Self {
         let none = Lanes::splat(simd, 0.0);
@@ -113,21 +113,21 @@ impl<S: Simd> Cut<S> {
         }
     }
 
-    /// How λ changes with z.
+    /// Returns the derivative of λ by z.
     #[inline(always)]
     pub fn mean_by_distance(&self) -> Lanes<S> {
         -(self.mean * (self.distance + self.mean))
     }
 
-    /// The third moment of the distances of places from an edge, times a scale: its normal has these parts across the rim and along
-    /// it.
+    /// Returns the third moment of the distances of points from an edge, times a scale. `[n, t]` are the components of the
+    /// normal of the edge across and along the rim.
     #[inline(always)]
     pub fn third(&self, scale: f32, [n, t]: [Lanes<S>; 2]) -> Lanes<S> {
         n * (self.skew * scale * n * n + self.skew_sideways * (3.0 * scale) * t * t)
     }
 
-    /// Third moments of the distances of places from two edges, and the mixed ones with the first or the second squared,
-    /// times a scale: their normals have these parts across the rim and along it.
+    /// Returns the third moments of the distances of points from two edges, and the mixed ones with the first or the second
+    /// squared, times a scale. `[n, t]` are the components of their normals across and along the rim.
     #[inline(always)]
     pub fn thirds(
         &self,
@@ -146,7 +146,7 @@ impl<S: Simd> Cut<S> {
     }
 }
 
-/// A step from −1 to 1 seen through a normal spread, and its derivatives, px⁻¹ to px⁻⁴.
+/// Step from −1 to 1, blurred by a normal distribution, with its derivatives, px⁻¹ to px⁻⁴.
 pub(super) struct Step<S: Simd> {
     pub value: Lanes<S>,
     pub first: Lanes<S>,
@@ -156,7 +156,7 @@ pub(super) struct Step<S: Simd> {
 }
 
 impl<S: Simd> Step<S> {
-    /// At a distance from it, px, with a variance, px².
+    /// Evaluates the step at a distance, px, with a variance, px².
     #[inline(always)]
     pub fn new(simd: S, distance: Lanes<S>, variance: Lanes<S>) -> Self {
         let inverse = variance.max(Lanes::splat(simd, LEAST_PX2)).sqrt().recip();
@@ -174,7 +174,7 @@ impl<S: Simd> Step<S> {
         }
     }
 
-    /// The step seen through a spread with a third and a fourth cumulant, px³ and px⁴.
+    /// Returns the step blurred by a distribution with a third and a fourth cumulant, px³ and px⁴.
     #[inline(always)]
     pub fn of_cumulants(&self, third: Lanes<S>, fourth: f32) -> Lanes<S> {
         (third * (1.0 / 6.0))
@@ -182,7 +182,7 @@ impl<S: Simd> Step<S> {
     }
 }
 
-/// The normal distribution below x, to 2e-7, and its density there: Abramowitz and Stegun (1964), Eq. 7.1.28, and its
+/// Returns the cumulative normal distribution at x, to 2e-7, and the density: Abramowitz and Stegun (1964), Eq. 7.1.28, and its
 /// derivative.
 #[inline(always)]
 fn normal<S: Simd>(simd: S, x: Lanes<S>) -> (Lanes<S>, Lanes<S>) {
@@ -196,7 +196,7 @@ fn normal<S: Simd>(simd: S, x: Lanes<S>) -> (Lanes<S>, Lanes<S>) {
     ];
     const SCALE: f32 = std::f32::consts::FRAC_1_SQRT_2;
     let z = (x.abs() * SCALE).min(Lanes::splat(simd, 4.0));
-    // Horner's scheme, for the series and its derivative.
+    // Horner's scheme for the series and its derivative.
     let (mut series, mut slope) = (Lanes::splat(simd, A[5]), Lanes::splat(simd, 0.0));
     let mut power = A.len();
     while power > 0 {
@@ -220,7 +220,7 @@ mod tests {
 
     use super::*;
 
-    /// Against sums over the places of a normal distribution that lie in the pupil.
+    /// Compares with sums over the points of a normal distribution that lie in the pupil.
     #[test]
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
     fn a_cut_normal_distribution_has_the_moments_of_its_places() {

@@ -1,67 +1,67 @@
-//! The white light of a micro-image: the sum of [`super::Bundle`] without a scene, which depends on the distance from the centre
-//! alone and is integrated in closed form over the opening.
+//! White light of a micro-image: the sum of [`super::Bundle`] without a scene. It depends on the distance from the centre alone
+//! and is integrated over the opening in closed form.
 //!
-//! At a point p of the sensor the rays that count pass the part of the opening that the pupil covers: the overlap of a disc of
-//! radius |q| with a disc of radius a, the distance |p| apart. Light is the area of this overlap times the mean angular response
-//! of its rays, which is taken to the second order of their squared angle from the moments of the overlap. A pixel averages
-//! that over its square and the point spread, with weights that depend on the pixel alone.
+//! The rays that reach a point p of the sensor pass the part of the opening that the pupil covers: the overlap of discs with
+//! the radii |q| and a, the distance |p| apart. The light is the area of this overlap times the mean angular response of its
+//! rays. The moments of the overlap give this mean to the second order of the squared angle. A pixel averages the light over
+//! its square and the point spread, with weights that depend on the pixel alone.
 
 use rayon::prelude::*;
 
 use super::response::Obliquity;
 
-/// The two discs of a micro-image, and how light falls off.
+/// The two discs of a micro-image, with the angular response.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct WhiteDiscs {
-    /// a, px: the pupil seen through the middle of the micro-lens.
+    /// Radius a of the pupil, seen through the middle of the micro-lens, px.
     pub pupil_px: f64,
-    /// q, px, with the sign that Eq. (radiusfinal) gives it: the opening as it blurs a point of the pupil.
+    /// Blur radius q of a point of the pupil, px, with the sign of Eq. (radiusfinal).
     pub q_px: f64,
-    /// Radius of the opening itself, px.
+    /// Radius of the opening, px.
     pub opening_px: f64,
     pub law: Obliquity,
 }
 
-/// Light at a point of the sensor.
+/// Light at a point of the sensor, with its derivatives.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct PointLight {
-    /// Over that at normal incidence from the whole of the smaller disc.
+    /// Light relative to normal incidence from the whole smaller disc.
     pub light: f64,
-    /// How it falls with the gradient g of the angular response along the direction outwards, px: the mean of the vectors y − M
-    /// of its rays, each by how much light falls with its angle, times the light.
+    /// Decrease of the light with the outward gradient g of the angular response, px: the light times the mean of the vectors
+    /// y − M of its rays, weighted by the decrease of light with their angle.
     pub sensitivity: f64,
-    /// Derivative by H, px².
+    /// Derivative of the light by H, px².
     pub by_within: f64,
-    /// Derivative by the logarithm of all squared angles.
+    /// Derivative of the light by the logarithm of all squared angles.
     pub by_obliquity: f64,
 }
 
-/// Steps of numerical derivatives: of radii and of vectors, px, of H, px⁻², and relative. All is in closed form, in double
+/// Steps of numerical derivatives: by radii and vectors, px; by H, px⁻²; relative. All functions are in closed form, in double
 /// precision.
 const STEP_PX: f64 = 1e-5;
 const STEP_PER_PX2: f64 = 1e-8;
 const STEP: f64 = 1e-5;
-/// Blur radii below this are as good as none, px.
+/// Smallest blur radius, px; smaller ones are as good as 0.
 const LEAST_PX: f64 = 1e-6;
 
 impl WhiteDiscs {
-    /// Discs of two radii, px, with light that does not fall off.
+    /// Creates discs of two radii, px, without angular response.
     pub fn plain(pupil_px: f64, blur_px: f64) -> Self {
         Self { pupil_px, q_px: blur_px, opening_px: 0.0, law: Obliquity::default() }
     }
 
-    /// The light at a distance from the centre, px.
+    /// Returns the light at a distance from the centre, px.
     pub fn light(&self, distance_px: f64) -> f64 {
         let overlap = self.overlap(distance_px);
         overlap.area * self.response(distance_px, &overlap, 0.0)
     }
 
-    /// The mean response there.
+    /// Returns the mean angular response at a distance from the centre, px.
     pub fn fall_off(&self, distance_px: f64) -> f64 {
         self.response(distance_px, &self.overlap(distance_px), 0.0)
     }
 
-    /// The same with derivatives.
+    /// Returns the light at a distance from the centre, px, with its derivatives.
     pub fn point(&self, distance_px: f64) -> PointLight {
         let overlap = self.overlap(distance_px);
         if overlap.area <= 0.0 {
@@ -74,13 +74,13 @@ impl WhiteDiscs {
             let law = Obliquity { within_per_px2, of_pixels_per_px2, ..self.law };
             Self { law, ..*self }.response(distance_px, &overlap, 0.0)
         };
-        // Light f(s²) changes along s by 2 s f′, and at normal incidence f′ is −H/2.
+        // The derivative of f(s²) along s is 2 s f′; at normal incidence, f′ = −H/2.
         let sensitivity = if within == 0.0 {
             overlap.area * self.angles(distance_px, &overlap, 0.0).0
         } else {
             -by(self.response(distance_px, &overlap, STEP_PX), STEP_PX) / within
         };
-        // What is above cos⁴ is due to the pixels.
+        // The pixels cause the part of H above cos⁴.
         let more_of_pixels = if of_pixels > 0.0 { STEP_PER_PX2 } else { 0.0 };
         PointLight {
             light: overlap.area * response,
@@ -93,7 +93,7 @@ impl WhiteDiscs {
         }
     }
 
-    /// Derivatives of the light by a and by |q|, px⁻¹, where the light stays in units of the smaller disc.
+    /// Returns the derivatives of the light by a and |q|, px⁻¹, with the smaller disc held as the unit.
     pub fn by_radii(&self, distance_px: f64) -> [f64; 2] {
         let (light, smaller) = (self.light(distance_px), self.smaller_px());
         let step_q = STEP_PX.copysign(self.q_px);
@@ -118,38 +118,40 @@ impl WhiteDiscs {
         Overlap::new(distance_px / blur, self.pupil_px / blur)
     }
 
-    /// The mean response of the rays through an overlap whose vectors y − M are longer by a step outwards.
+    /// Returns the mean response of the rays through an overlap, with vectors y − M that are longer by a step outwards.
     fn response(&self, distance_px: f64, overlap: &Overlap, step_px: f64) -> f64 {
         let (_, square, variance) = self.angles(distance_px, overlap, step_px);
         self.law.mean_light(square, variance)
     }
 
-    /// The mean of the vectors y − M outwards, px, that of their squares, px², and the variance of these, px⁴.
+    /// Returns the outward mean of the vectors y − M, px, the mean of their squares, px², and the variance of their squares,
+    /// px⁴.
     fn angles(&self, distance_px: f64, overlap: &Overlap, step_px: f64) -> (f64, f64, f64) {
-        // Where f < d the far side of the micro-lens lights the edge of the micro-image, where f > d the near side does.
+        // If f < d, the far side of the micro-lens lights the edge of the micro-image; if f > d, the near side does.
         let outwards = distance_px + step_px + overlap.mean * self.opening_px * self.q_px.signum();
         let square = self.opening_px.powi(2);
         let (along, across) = (overlap.along * square, overlap.across * square);
-        // As of an ellipse with these variances.
+        // The fourth moments are taken from an ellipse with these variances.
         let variance = 4.0 * outwards * outwards * along + along * along + across * across
             - 2.0 / 3.0 * along * across;
         (outwards, outwards * outwards + along + across, variance)
     }
 }
 
-/// The part of the unit disc that another disc covers.
+/// Part of the unit disc that another disc covers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Overlap {
-    /// Its area over that of the smaller disc.
+    /// Area, relative to the smaller disc.
     area: f64,
-    /// Distance of its centroid from the middle of the unit disc, towards the other disc.
+    /// Distance of the centroid from the middle of the unit disc, towards the other disc.
     mean: f64,
-    /// Variances in that direction and across it.
+    /// Variances along this direction and across it.
     along: f64,
     across: f64,
 }
 
-/// Area of a segment of a disc, and its first and second moments about the middle of the disc: towards the segment, and across.
+/// Returns the area of a segment of a disc, its first moment about the middle of the disc towards the segment, and its second
+/// moments along and across this direction.
 fn segment(radius: f64, distance: f64) -> [f64; 4] {
     let cos = (distance / radius).clamp(-1.0, 1.0);
     let (angle, sin) = (cos.acos(), (1.0 - cos * cos).sqrt());
@@ -163,11 +165,11 @@ fn segment(radius: f64, distance: f64) -> [f64; 4] {
     ]
 }
 
-/// Smaller parts of a disc have no moments worth having.
+/// Smallest relative area for which moments are computed.
 const LEAST_AREA: f64 = 1e-9;
 
 impl Overlap {
-    /// With a disc of another radius at a distance.
+    /// Computes the overlap with a disc of another radius at a distance.
     fn new(distance: f64, radius: f64) -> Self {
         if distance + 1.0 <= radius {
             return Self { area: 1.0, mean: 0.0, along: 0.25, across: 0.25 };
@@ -179,7 +181,7 @@ impl Overlap {
         if distance >= 1.0 + radius {
             return Self { area: 0.0, mean: 1.0, along: 0.0, across: 0.0 };
         }
-        // The line through both points where the circles cut each other parts the overlap into a segment of either disc.
+        // The line through the intersections of the two circles divides the overlap into one segment of each disc.
         let line = (distance * distance + 1.0 - radius * radius) / (2.0 * distance);
         let [area, first, along, across] = segment(1.0, line);
         let [other, first_of, along_of, across_of] = segment(radius, distance - line);
@@ -200,45 +202,45 @@ impl Overlap {
     }
 }
 
-/// Steps of the distances from the middle that light is seen at, and of those that it comes from, px.
+/// Steps of the distances from the middle, px: of pixels and of the light that they collect.
 const SEEN_PX: f64 = 0.0625;
 const FROM_PX: f64 = 0.031_25;
-/// Pixels of a larger variance along an axis, px², blur what steps of twice that would miss.
+/// Variance of a pixel along an axis, px², above which its blur permits steps of twice `FROM_PX`.
 const WIDE_PX2: f64 = 0.25;
-/// Number of places in a pixel along an axis, and how far they reach beyond the square, in standard deviations of the point
+/// Number of sample points of a pixel along an axis, and their reach beyond the square, in standard deviations of the point
 /// spread.
 const PLACES: usize = 24;
 const BEYOND: f64 = 4.5;
-/// Where they would change too fast with the point spread, px².
+/// Variance added to the point spread, px², without which the sample points would change too fast near 0.
 const SMOOTH_PX2: f64 = 0.0025;
 /// Variance of a square of 1 px along an axis, px².
 const SQUARE_PX2: f64 = 1.0 / 12.0;
 
-/// What pixels with a point spread see of light that depends on the distance from a middle: weights of the distances that it
-/// comes from, by the distance of the pixel.
+/// Weights with which pixels with a point spread collect light that depends on the distance from a middle, by the distances of
+/// the pixel and of the light.
 #[derive(Debug)]
 pub(crate) struct RadialPixels {
     rows: Vec<Row>,
-    /// Step of the distances that light comes from, px, and their number.
+    /// Step of the distances of the light, px, and their number.
     from_px: f64,
     from: usize,
 }
 
-/// The weights of a pixel at one distance.
+/// Weights of a pixel at one distance.
 #[derive(Debug)]
 struct Row {
-    /// The first distance that light comes from.
+    /// Index of the smallest distance of the light.
     first: usize,
-    /// By distance: of light, and of the part along the direction to the pixel of vectors that point outwards.
+    /// Weights by distance: of light, and of the component along the direction to the pixel of outward vectors.
     weights: Vec<[f64; 2]>,
 }
 
-/// What pixels see, by their distance.
+/// Values of pixels, by their distance.
 #[derive(Debug)]
 pub(crate) struct Seen(Vec<f64>);
 
 impl RadialPixels {
-    /// With a point spread of this variance along an axis, px², up to a distance from the middle, px.
+    /// Computes the weights for a point spread with this variance along an axis, px², up to a distance from the middle, px.
     pub fn new(point_spread_px2: f64, reach_px: f64) -> Self {
         let variance = SQUARE_PX2 + point_spread_px2.max(0.0);
         let places = places(variance);
@@ -251,12 +253,12 @@ impl RadialPixels {
         Self { rows, from_px, from }
     }
 
-    /// Quantities of light by distance as they see them.
+    /// Returns the pixel values of quantities that depend on the distance.
     pub fn see<const N: usize>(&self, light: impl Fn(f64) -> [f64; N]) -> [Seen; N] {
         self.seen(light, 0)
     }
 
-    /// The components away from the middle of vectors that point away from it.
+    /// Returns the pixel values of vectors that point away from the middle: their outward components.
     pub fn see_outwards<const N: usize>(&self, lengths: impl Fn(f64) -> [f64; N]) -> [Seen; N] {
         self.seen(lengths, 1)
     }
@@ -271,14 +273,14 @@ impl RadialPixels {
     }
 }
 
-/// Places along an axis from the middle of a pixel with a variance, px, and their weights. They change smoothly with the point
-/// spread, down to none.
+/// Returns sample points along an axis from the middle of a pixel with a variance, px, and their weights. They change smoothly
+/// with the point spread, down to 0.
 fn places(variance: f64) -> [(f64, f64); PLACES] {
     let spread = (variance - SQUARE_PX2).max(1e-12);
     let reach = 0.5 + BEYOND * (spread + SMOOTH_PX2).sqrt();
     let step = 2.0 * reach / PLACES as f64;
     let spread = spread.sqrt();
-    // The integral of the normal distribution, and of the square with its spread.
+    // Integral of the cumulative normal distribution; its differences give the blurred square.
     let integral = |x: f64| {
         let z = x / spread;
         let below = 0.5 * libm::erfc(-z * std::f64::consts::FRAC_1_SQRT_2);
@@ -303,11 +305,11 @@ impl Row {
             ((r - widest).max(0.0) / from_px) as usize,
             ((r + widest).hypot(widest) / from_px) as usize + 1,
         );
-        // Where the pixel contains the middle, light comes from everywhere up to its corner.
+        // If the pixel contains the middle, light comes from all distances up to its corner.
         let first = if r > widest { first } else { 0 };
         let mut weights = vec![[0.0; 2]; last + 1 - first];
         for &(x, of_x) in places {
-            // Both sides together.
+            // Both halves are symmetric.
             for &(y, of_y) in &places[places.len() / 2..] {
                 let distance = (r + x).hypot(y);
                 let at = distance / from_px;
@@ -326,29 +328,29 @@ impl Row {
 }
 
 impl Seen {
-    /// How much more this is than another, over a step.
+    /// Returns the difference from another over a step.
     pub fn change(&self, from: &Self, step: f64) -> Self {
         Self(self.0.iter().zip(&from.0).map(|(to, from)| (to - from) / step).collect())
     }
 
-    /// This and some steps of another.
+    /// Returns this plus some steps of another.
     pub fn plus(&self, by: &Self, step: f64) -> Self {
         Self(self.0.iter().zip(&by.0).map(|(light, by)| light + step * by).collect())
     }
 
-    /// What a pixel at a distance sees, px.
+    /// Returns the value of a pixel at a distance, px.
     pub fn at(&self, distance_px: f64) -> f64 {
         self.with_slope(distance_px).0
     }
 
-    /// The same, and its derivative by the distance, px⁻¹.
+    /// Returns this value and its derivative by the distance, px⁻¹.
     pub fn with_slope(&self, distance_px: f64) -> (f64, f64) {
         let place = distance_px / SEEN_PX;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // cut to the table
         let i = (place as usize).clamp(1, self.0.len() - 3);
         debug_assert!(place < (self.0.len() - 1) as f64, "{distance_px} px is beyond the table");
         let x = place - i as f64;
-        // Lagrange's polynomial through four.
+        // Lagrange interpolation through four values.
         let weights = [
             -x * (x - 1.0) * (x - 2.0) / 6.0,
             (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0,
@@ -375,7 +377,7 @@ mod tests {
     use super::super::oracle::{HALF_PITCH, Oracle};
     use super::*;
 
-    /// By hand: equal discs one radius r apart have the area (2π/3 − √3/2) r² in common.
+    /// Compares with the exact area: equal discs one radius r apart have (2π/3 − √3/2) r² in common.
     #[test]
     fn areas_of_overlaps() {
         let light = |a, b, r| WhiteDiscs::plain(a, b).light(r);
@@ -391,7 +393,7 @@ mod tests {
         assert!((area / (std::f64::consts::PI * 4.5 * 4.5) - 1.0).abs() < 1e-6);
     }
 
-    /// Against sums over points of the unit disc.
+    /// Compares with sums over points of the unit disc.
     #[test]
     fn moments_of_overlaps() {
         for (distance, radius) in [(1.0, 3.0), (0.3, 0.5), (1.3, 0.9), (0.9, 0.4), (2.0, 1.8)] {
@@ -416,7 +418,7 @@ mod tests {
         }
     }
 
-    /// Against the sum over rays that the light of corners is tested by, over the directions of a square pixel.
+    /// Compares with the sum over rays that also tests the light of corners, averaged over the directions of a square pixel.
     #[test]
     fn white_light_is_the_sum_of_its_rays() {
         for (spread, a, q, of_pixels) in [
@@ -452,7 +454,7 @@ mod tests {
         }
     }
 
-    /// By differences, and the sensitivity against a sum over rays.
+    /// Compares derivatives with differences, and the sensitivity with a sum over rays.
     #[test]
     fn derivatives_of_white_light() {
         let discs = WhiteDiscs {
@@ -472,7 +474,7 @@ mod tests {
             let by = (more.light(r) - light) / 1e-7;
             assert!((by_within - by).abs() < 0.02 * by.abs(), "{r}: {by_within} for {by}");
             let [by_pupil, by_blur] = discs.by_radii(r);
-            // Both radii and the distance longer by the same part.
+            // Both radii and the distance grow by the same factor.
             let larger = with(&|d| (d.pupil_px, d.q_px) = (d.pupil_px * 1.001, d.q_px * 1.001));
             let by = (larger.light(r) * 1.001_f64.powi(2) - light) / 1e-3;
             let found = by_pupil * discs.pupil_px + by_blur * discs.q_px.abs();
@@ -500,7 +502,7 @@ mod tests {
         }
     }
 
-    /// A field of constant slope points away from the middle wherever a pixel is.
+    /// Checks that a vector field of constant slope points away from the middle in every pixel.
     #[test]
     fn vectors_keep_their_direction() {
         let pixels = RadialPixels::new(0.25, 6.0);

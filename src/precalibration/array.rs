@@ -1,4 +1,4 @@
-//! The micro-image array of a white image.
+//! Micro-image array of a white image.
 
 use super::centroid::Blob;
 use super::grid::MicroImageArray;
@@ -6,21 +6,21 @@ use super::indexing::Indexing;
 use super::pattern::Pattern;
 use crate::model::MicroImageCenter;
 
-/// The micro-images of a white image.
+/// Micro-images of a white image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ArrayMeasurement {
-    /// The regular grid.
+    /// Regular grid of the array.
     pub grid: MicroImageArray,
     /// Lens types as far as this image alone shows them.
     pub lens_types: LensTypes,
-    /// The centres that agree with it.
+    /// Centres that agree with the grid.
     pub centers: Vec<MicroImageCenter>,
-    /// How many micro-images gave no centre, by reason.
+    /// Numbers of micro-images that gave no centre, by reason.
     pub left_out: LeftOutCenters,
 }
 
 impl ArrayMeasurement {
-    /// An array that is known from elsewhere, with no uncertainty stated.
+    /// Creates an array that is known from elsewhere, without uncertainty of its lens types.
     #[must_use]
     pub fn of_grid(
         grid: MicroImageArray,
@@ -36,16 +36,16 @@ impl ArrayMeasurement {
     }
 }
 
-/// Micro-images of the grid that gave no centre.
+/// Numbers of micro-images of the grid that gave no centre.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LeftOutCenters {
-    /// Their window is cut by the border of the image.
+    /// Number of micro-images whose window is cut by the border of the image.
     pub cut: usize,
-    /// Without light, or with much less than their neighbours.
+    /// Number of micro-images without light, or with much less light than their neighbours.
     pub dark: usize,
-    /// Saturated all over, so that no edge shows.
+    /// Number of micro-images that are saturated all over, so that no edge shows.
     pub saturated: usize,
-    /// Far from the place that the others leave for them: dust, scratches, reflections.
+    /// Number of micro-images far from where the others predict them: dust, scratches, reflections.
     pub misplaced: usize,
 }
 
@@ -54,11 +54,11 @@ pub struct LeftOutCenters {
 pub struct LensTypes {
     /// Number I of types that can be told apart: 1 or 3.
     pub types: usize,
-    /// Least difference of two types' radii in the white image that tells them apart best, in its
-    /// standard deviations; none for one type, or where radii were not measured.
+    /// Least difference of the radii of two types, in its standard deviations, in the white image that separates them
+    /// best; `None` for one type, or if radii were not measured.
     pub separation: Option<f64>,
-    /// Part of all micro-images of the reference whose size is nearest to that of neighbours of their own
-    /// lens type; none for one type, or where sizes were not measured.
+    /// Fraction of all micro-images of the reference whose size is nearest to the size of neighbours of their own lens
+    /// type; `None` for one type, or if sizes were not measured.
     pub agreement: Option<f64>,
 }
 
@@ -66,24 +66,24 @@ impl LensTypes {
     /// One type.
     pub const ONE: Self = Self::stated(1);
 
-    /// A number of types that is known from elsewhere.
+    /// Creates lens types whose number is known from elsewhere.
     #[must_use]
     pub const fn stated(types: usize) -> Self {
         Self { types, separation: None, agreement: None }
     }
 }
 
-/// The array, and how it was found.
+/// Array, and how it was found.
 pub(super) struct FoundArray {
     pub array: ArrayMeasurement,
     pub pattern: Pattern,
-    /// The micro-images that have a centre in the array, in the same order.
+    /// Micro-images that have a centre in the array, in the same order.
     pub blobs: Vec<Blob>,
     pub indexing: Indexing,
 }
 
 impl FoundArray {
-    /// Index (k, l) of a node of the pattern.
+    /// Returns the index (k, l) of a node of the pattern.
     pub fn index(&self, node: (i32, i32)) -> (i32, i32) {
         self.indexing.index(&self.pattern, node)
     }

@@ -1,4 +1,4 @@
-//! Whether an image is a white image that shows its array well.
+//! Checks whether an image is a white image that shows its array well.
 
 use std::collections::HashMap;
 
@@ -12,10 +12,10 @@ use crate::image::{Grey, Image, RawImage};
 use crate::model::MicroImageCenter;
 use crate::numerics::median;
 
-/// In a white image a micro-image is within this factor as bright as its neighbours.
+/// Factor within which a micro-image of a white image is as bright as its neighbours.
 const AS_BRIGHT: f64 = 2.0;
 
-/// An error for an image that is full nearly all over.
+/// Returns an error if nearly all of an image is saturated.
 pub(super) fn over_exposed(image: &Grey) -> Option<Error> {
     let (width, height) = image.size();
     let full = full_part(&image.part(0, 0, width, height));
@@ -32,7 +32,7 @@ fn full_part(image: &Image) -> f64 {
     image.pixels.iter().filter(|light| **light >= 1.0).count() as f64 / image.pixels.len() as f64
 }
 
-/// Findings about the image that an array was measured in: that it is no white image, over-exposed, or not regular.
+/// Returns findings about the image in which an array was measured: no white image, over-exposed, or not regular.
 #[must_use]
 pub fn array_findings(array: &ArrayMeasurement, image: &RawImage) -> Vec<Finding> {
     let (grid, image) = (&array.grid, image.to_grey());
@@ -40,8 +40,8 @@ pub fn array_findings(array: &ArrayMeasurement, image: &RawImage) -> Vec<Finding
     checks::array(uneven, (grid.rms_px, grid.pitch_px), stretch(array), full)
 }
 
-/// By which part the lattice is longer along one direction than across it: what the linear map from a regular lattice to
-/// the centres does, by least squares; `None` for too few centres.
+/// Returns the fraction by which the lattice is longer along one direction than across it, from the linear map of a
+/// regular lattice to the centres (least squares). Returns `None` for too few centres.
 fn stretch(array: &ArrayMeasurement) -> Option<f64> {
     let lattice = &array.grid.lattice;
     let pairs = || {
@@ -63,7 +63,7 @@ fn stretch(array: &ArrayMeasurement) -> Option<f64> {
     (sizes.min() > 0.0).then(|| sizes.max() / sizes.min() - 1.0)
 }
 
-/// Which part of the micro-images is not about as bright as its neighbours.
+/// Returns the fraction of the micro-images that are not about as bright as their neighbours.
 fn uneven_part(array: &ArrayMeasurement, image: &Image) -> f64 {
     let of = |c: &MicroImageCenter| Some(((c.k, c.l), light_at(image, c)?));
     let light: HashMap<(i32, i32), f64> = array.centers.iter().filter_map(of).collect();
@@ -77,7 +77,7 @@ fn uneven_part(array: &ArrayMeasurement, image: &Image) -> f64 {
     light.iter().filter(|one| is_uneven(*one)).count() as f64 / light.len().max(1) as f64
 }
 
-/// The mean light of the nine pixels about a centre.
+/// Returns the mean light of the nine pixels about a centre.
 fn light_at(image: &Image, center: &MicroImageCenter) -> Option<f64> {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a negative one is cut to 0
     let [u, v] = [center.u_px, center.v_px].map(|x| x.round() as usize);

@@ -1,4 +1,4 @@
-//! The search for the micro-image array of a white image: from pixels to centres and grid.
+//! Search for the micro-image array of a white image: from pixels to centres and grid.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -15,26 +15,26 @@ use crate::error::{Error, Result};
 use crate::image::{Grey, RawImage};
 use crate::model::{Lattice, LatticeKind, MicroImageCenter};
 
-/// Centres further from the grid than this many times the root mean square distance of those that
-/// agree with it do not belong to it.
+/// Distance from the grid beyond which centres do not belong to it, over the root mean square distance of the centres
+/// that agree with it.
 const MISPLACED: f64 = 6.0;
-/// and this more, px: on a nearly perfect grid a hundredth of a pixel is no fault.
+/// Addition to this distance, px: on a nearly perfect grid a hundredth of a pixel is no fault.
 const MISPLACED_PX: f64 = 0.05;
-/// Least part of the variance of an image that a pattern of micro-images explains.
+/// Least fraction of the variance of an image that a pattern of micro-images explains.
 const PATTERN: f64 = 0.1;
 
 /// Finds and measures all micro-images of a white image, from the image alone.
 ///
-/// `stated` is the number of columns and rows of the array where it is known. Indices (k, l) then
-/// count such that the middle of the array is nearest to that of the image; else they count from the
-/// first column and row that show light. An error if no lattice of micro-images shows, or not one of
-/// the stated size.
+/// `stated` is the number of columns and rows of the array, if it is known. Then indices (k, l) put the middle of the
+/// array nearest to the middle of the image. Otherwise they count from the first column and row that show light.
+///
+/// Returns an error if no lattice of micro-images shows, or not one of the stated size.
 pub fn measure_array(image: &RawImage, stated: Option<(i32, i32)>) -> Result<ArrayMeasurement> {
     found_array(&image.grey(), None, stated).map(|found| found.array)
 }
 
-/// The centres that a known lattice has in an image of `size` (width, height), px: one of them at
-/// `origin`, the next ones two `steps` away (columns, px). Indices count as in [`measure_array`].
+/// Returns the centres of a known lattice in an image of `size` (width, height), px. One centre is at `origin`, the
+/// next ones two `steps` away (columns, px). Indices count as in [`measure_array`].
 pub fn lattice_centers(
     size: (u16, u16),
     origin: &Vector2<f64>,
@@ -51,9 +51,9 @@ pub fn lattice_centers(
     Ok(nodes.iter().map(center).collect())
 }
 
-/// Packing and rotation (rad, from u towards v) of the lattice that two steps (columns, px) make, and
-/// its steps to two neighbours: along the straight rows (columns), and to the next row (column) at 60
-/// degrees from it, or at 90 on a square lattice.
+/// Returns packing and rotation (rad, from u towards v) of the lattice that two steps (columns, px) span, and its steps
+/// to two neighbours: along the straight rows (columns), and to the next row (column), at 60 degrees or, on a square
+/// lattice, at 90 degrees.
 pub fn lattice_orientation(steps: &Matrix2<f64>) -> Result<(LatticeKind, f64, Matrix2<f64>)> {
     let pattern = known(steps)?;
     let along_rows = pattern.lattice_axes().column(0).into_owned();
@@ -68,8 +68,7 @@ fn known(steps: &Matrix2<f64>) -> Result<Pattern> {
     })
 }
 
-/// Finds and measures all micro-images, as [`measure_array`] does, with the pattern where it is
-/// known.
+/// Finds and measures all micro-images like [`measure_array`], with the pattern if it is known.
 pub(super) fn found_array(
     image: &Grey,
     known: Option<Pattern>,
@@ -83,7 +82,7 @@ fn search(image: &Grey, known: Option<Pattern>, stated: Option<(i32, i32)>) -> R
     let statuses = judge(image, &pattern, &blobs);
     let (width, height) = image.size();
     let middle = Vector2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
-    // From the middle of the image to that of the array.
+    // Distance from the middle of the image to the middle of the array.
     let off = |indexing: &Indexing| {
         let (k, l) = indexing.index(&pattern, (0, 0));
         (pattern.origin
@@ -137,7 +136,7 @@ fn search(image: &Grey, known: Option<Pattern>, stated: Option<(i32, i32)>) -> R
     Ok(found)
 }
 
-/// The grid of centres that were found in an image.
+/// Fits the grid to centres that were found in an image.
 pub(super) fn fit_found(
     centers: &[MicroImageCenter],
     lattice: &Lattice,
@@ -153,7 +152,7 @@ fn no_grid(centers: &[MicroImageCenter]) -> Error {
     ))
 }
 
-/// The pattern that shows in the middle, or else, should that be damaged, those in the quarters.
+/// Returns the pattern in the middle of the image, then the patterns in its quarters in case the middle is damaged.
 pub(super) fn patterns(image: &Grey) -> impl Iterator<Item = Pattern> {
     let (w, h) = image.size();
     let places = [
@@ -167,8 +166,7 @@ pub(super) fn patterns(image: &Grey) -> impl Iterator<Item = Pattern> {
     found.filter(|pattern| pattern.explained >= PATTERN)
 }
 
-/// The pattern that goes on over the image, and its micro-images; the first one that is tried may be
-/// known.
+/// Finds the pattern that continues over the image, and its micro-images. A `known` pattern is tried first.
 fn find(image: &Grey, known: Option<Pattern>) -> Result<(Pattern, Vec<Blob>)> {
     let mut tried = known.into_iter().chain(patterns(image));
     if let Some(found) = tried.find_map(|pattern| measure(image, &pattern)) {

@@ -1,8 +1,8 @@
-//! The black level, from the places between micro-images that no light reaches.
+//! Black level, from the places between micro-images that no light reaches.
 //!
-//! At small apertures micro-images are far apart. Going away from all of them the light falls to
-//! where it no longer changes: what is left there are the samples of pixels without light. Stray light
-//! can only add to them; how much the darkest two f-numbers differ tells how much of it there still is.
+//! At small apertures micro-images are far apart. Far from all of them the light no longer changes with the distance:
+//! there pixels receive no light. Stray light can only add to their samples. The difference between the two largest
+//! f-numbers shows how much of it there is.
 
 use nalgebra::Vector2;
 use tracing::debug;
@@ -18,40 +18,39 @@ use crate::image::RawImage;
 use crate::model::{LatticeKind, full_scale};
 use crate::numerics::median;
 
-/// White images that are looked at, those with the largest f-numbers.
+/// Number of white images that are used: those with the largest f-numbers.
 const IMAGES: usize = 2;
-/// Micro-images up to so many pitches from where the pattern was found, along each axis.
+/// Distance from the origin of the pattern along each axis up to which micro-images are used, in pitches.
 const REACH: f64 = 6.0;
 /// Width of the rings about the middles of micro-images, px.
 const RING_PX: f64 = 0.5;
-/// Pixels that have a say in where it is darkest, and in the black level.
+/// Fewest pixels that determine the darkest level.
 const FEWEST: usize = 200;
-/// The light no longer changes where it is within this part of that of the micro-images of the
-/// darkest.
+/// Change of the light, relative to the light of the micro-images, up to which it counts as constant.
 const FLAT: f64 = 2e-3;
-/// It does so over this distance, px; the nearer part of it is left out for the tail of the light.
+/// Least distance over which the light has to be constant, px. Its nearer part is left out for the tail of the light.
 const DARK_PX: f64 = 1.5;
 const TAIL_PX: f64 = 1.0;
-/// Where even the darkest places have this part of the light of the micro-images, they are not dark.
+/// Fraction of the light of the micro-images above which the darkest places are not dark.
 const BRIGHT: f64 = 0.25;
-/// Hot pixels are so many median deviations away; a deviation is one grey level, at least.
+/// Limit of hot pixels, in median deviations. A deviation is at least one grey level.
 const OUTLIERS: f64 = 6.0;
-/// With more than this part of the samples at 0, noise is clipped there.
+/// Fraction of the samples at 0 above which noise is clipped there.
 const CLIPPED: f64 = 0.02;
 
-/// The black level, grey levels of the first white image.
+/// Black level in grey levels of the first white image.
 pub(super) struct Black {
     pub level: f64,
     /// Bits of a sample of that image.
     pub bits: u32,
-    /// Its σ, where it was measured.
+    /// Standard deviation of the level, if it was measured.
     pub std_dev: Option<f64>,
-    /// Where it is not known, or cannot be what is stated.
+    /// Finding if the level is not known, or if the stated one is not possible.
     pub finding: Option<Finding>,
 }
 
-/// The black level as it is stated, or else as the white images show it between the micro-images of
-/// a pattern. An error if it is not possible.
+/// Returns the stated black level, or else measures it between the micro-images of a pattern. Returns an error if the
+/// stated level is not possible.
 pub(super) fn black_level(
     whites: &[White],
     pattern: Option<&Pattern>,
@@ -91,8 +90,8 @@ pub(super) fn black_level(
     Ok(Black { level: 0.0, bits, std_dev: None, finding })
 }
 
-/// What a white image shows between the micro-images about the origin of a pattern; `None` if there
-/// are none.
+/// Measures the darkest places of a white image, between the micro-images about the origin of a pattern. Returns `None`
+/// if there are none.
 fn shown_by(raw: &RawImage, found: &Pattern) -> Option<Darkest> {
     let grey = raw.as_they_are();
     let mut nodes = nodes_in(grey.size(), found);
@@ -106,7 +105,7 @@ fn shown_by(raw: &RawImage, found: &Pattern) -> Option<Darkest> {
     for Blob { node, .. } in &blobs {
         let center = pattern.place(node.0, node.1);
         let neighbours = neighbours(&pattern);
-        // Not further than halfway to any neighbour.
+        // Pixels beyond half the way to a neighbour belong to the neighbour.
         pixels_about(&part, &center, pattern.pitch(), |offset, light| {
             if neighbours.iter().all(|step| offset.dot(step) <= step.norm_squared() / 2.0) {
                 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a distance
@@ -122,18 +121,18 @@ fn shown_by(raw: &RawImage, found: &Pattern) -> Option<Darkest> {
     darkness(&rings, f64::from(step) / raw.full_scale())
 }
 
-/// Steps to the nearest nodes about any.
+/// Returns the steps from a node to its nearest nodes.
 fn neighbours(pattern: &Pattern) -> Vec<Vector2<f64>> {
     let (a, b) = (pattern.along, pattern.across);
     let other = if pattern.kind == LatticeKind::Orthogonal { a + b } else { b - a };
     [a, b, other, a - b].into_iter().flat_map(|step| [step, -step]).collect()
 }
 
-/// The darkest places by the samples in rings about the middles of micro-images.
+/// Finds the darkest places from the samples in rings about the middles of micro-images.
 fn darkness(rings: &[Vec<f64>], grey_level: f64) -> Option<Darkest> {
     let brightest =
         rings.iter().filter_map(|ring| median(ring.iter().copied())).fold(0.0, f64::max);
-    // The furthest rings have few pixels.
+    // The outermost rings have few pixels.
     let mut first = rings.len();
     let mut furthest: Vec<f64> = Vec::new();
     while furthest.len() < FEWEST {
@@ -163,14 +162,14 @@ fn darkness(rings: &[Vec<f64>], grey_level: f64) -> Option<Darkest> {
     if zeros > CLIPPED * kept.len() as f64 {
         level = grouped_median(&kept, grey_level);
     }
-    // The mean of rounded samples is off where noise does not spread them over several grey levels.
+    // The mean of rounded samples is biased unless noise spreads them over several grey levels.
     let noise = ((scatter / grey_level).powi(2) - 1.0 / 12.0).max(0.0);
     let rounding = (1.0_f64 / 12.0).sqrt() * (-2.0 * std::f64::consts::PI.powi(2) * noise).exp();
     let std_dev = std_dev.hypot(rounding * grey_level);
     Some(Darkest { level, std_dev, light, grey_level, is_dark: true })
 }
 
-/// Mean of samples without hot pixels, its σ, and their scatter.
+/// Returns the mean of samples without hot pixels, its σ, and their scatter.
 fn mean(samples: &[f64], grey_level: f64) -> Option<(f64, f64, f64)> {
     let middle = median(samples.iter().copied())?;
     let typical = median(samples.iter().map(|sample| (sample - middle).abs()))?.max(grey_level);
@@ -181,8 +180,8 @@ fn mean(samples: &[f64], grey_level: f64) -> Option<(f64, f64, f64)> {
     Some((mean, (variance / count).sqrt(), variance.sqrt()))
 }
 
-/// The median of whole grey levels as if each were spread over its width: samples that are clipped at 0
-/// have no part in it as long as they are fewer than half. 0 if they are not.
+/// Returns the median of whole grey levels, each spread over its width. Samples that are clipped at 0 do not affect it
+/// while they are fewer than half; otherwise it is 0.
 fn grouped_median(samples: &[f64], grey_level: f64) -> f64 {
     let Some(middle) = median(samples.iter().copied()) else { return 0.0 };
     if middle < 0.5 * grey_level {

@@ -1,4 +1,4 @@
-//! The centres of all micro-images of an image, and the pattern that fits them.
+//! Centres of all micro-images of an image, and the pattern that fits them.
 
 // Only what is inlined into the dispatched function is compiled for its registers.
 #![allow(clippy::inline_always)]
@@ -14,32 +14,32 @@ use super::pattern::Pattern;
 use crate::image::{Grey, Image, bounds};
 use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
 
-/// The pattern is followed outwards from where it was found: so many pitches at first, then each time
-/// so many times further.
+/// Distance up to which the pattern is followed at first from where it was found, in pitches, and the factor of each
+/// further distance.
 const FIRST_REACH: f64 = 8.0;
 const REACH_FACTOR: f64 = 3.0;
-/// Number of micro-images that the pattern is fitted to on the way outwards.
+/// Number of micro-images to which the pattern is fitted on the way outwards.
 const SAMPLE: usize = 250;
-/// So many micro-images give the pitch to 2 · 10⁻⁶, at a scatter of 0.03 px over a hundred rows.
+/// Number of micro-images that gives the pitch to 2 · 10⁻⁶, at a scatter of 0.03 px over a hundred rows.
 const LARGE_SAMPLE: usize = 800;
-/// A window may move by this part of a pitch as it follows the centroid.
+/// Distance by which a window may move as it follows the centroid, in pitches.
 const FOLLOWED: f64 = 0.1;
-/// The middle of a micro-image, in pitches.
+/// Radius of the middle of a micro-image, in pitches.
 const MIDDLE: f64 = 0.25;
-/// Micro-images along the edge of a tile: some 400 px, so that it stays in a core's cache.
+/// Number of micro-images along the edge of a tile: some 400 px, so that it stays in the cache of a core.
 const TILE: i32 = 16;
 /// Fewest micro-images for an affine fit that a few outliers do not spoil.
 const FEWEST: usize = 7;
 
-/// Measures every micro-image whose window lies in the image, and gives the pattern that fits them
-/// all; `None` if the pattern does not go on from where it was found.
+/// Measures every micro-image whose window lies in the image, and fits the pattern to them all. Returns `None` if the
+/// pattern does not continue from where it was found.
 pub(super) fn measure(image: &Grey, found: &Pattern) -> Option<(Pattern, Vec<Blob>)> {
     let pattern = followed(image, found)?;
     let blobs = measure_all(image, &pattern);
     Some((refit(&pattern, &blobs)?, blobs))
 }
 
-/// The pattern fitted to micro-images all over the image, a sample of them at every reach.
+/// Fits the pattern to micro-images all over the image, to a sample of them at every reach.
 fn followed(image: &Grey, found: &Pattern) -> Option<Pattern> {
     let mut pattern = *found;
     let start = found.origin;
@@ -59,7 +59,7 @@ fn followed(image: &Grey, found: &Pattern) -> Option<Pattern> {
     }
 }
 
-/// Measures a sample of some micro-images of an image whose pattern is known, and fits that to them;
+/// Measures a sample of some micro-images of an image with a known pattern, and fits the pattern to them. Returns
 /// `None` if it does not show there.
 pub(super) fn measure_sample(
     image: &Grey,
@@ -67,15 +67,15 @@ pub(super) fn measure_sample(
     nodes: &[(i32, i32)],
 ) -> Option<(Pattern, Vec<Blob>)> {
     let step = nodes.len().div_ceil(LARGE_SAMPLE).max(1);
-    // Every third in a row would be of one lens type.
+    // Every third micro-image in a row would be of one lens type.
     let step = if step.is_multiple_of(3) { step + 1 } else { step };
     let sample: Vec<(i32, i32)> = nodes.iter().copied().step_by(step).collect();
     let blobs = measure_some(image, pattern, &sample);
     Some((refit(pattern, &blobs)?, blobs))
 }
 
-/// The part of an image up to `reach` about some places, cut at the border of the image, and the place
-/// of its first pixel.
+/// Returns the part of an image up to `reach` about some places, cut at the border of the image, and the position of
+/// its first pixel.
 pub(super) fn part_with(
     image: &Grey,
     places: impl Iterator<Item = Vector2<f64>>,
@@ -102,7 +102,7 @@ fn measure_all(image: &Grey, pattern: &Pattern) -> Vec<Blob> {
     blobs
 }
 
-/// Measures micro-images that are near to each other, in the part of the image that holds them all.
+/// Measures micro-images that are near to each other, in the part of the image that contains them all.
 fn measure_near(image: &Grey, pattern: &Pattern, nodes: &[(i32, i32)]) -> Vec<Blob> {
     let places = nodes.iter().map(|&(i, j)| pattern.place(i, j));
     let (part, corner) = part_with(image, places, pattern.pitch());
@@ -114,7 +114,7 @@ fn measure_near(image: &Grey, pattern: &Pattern, nodes: &[(i32, i32)]) -> Vec<Bl
     blobs
 }
 
-/// Work for the widest registers that the processor has; what it calls has to be inlined for that.
+/// Work for the widest registers of the processor. The functions that it calls have to be inlined for this.
 struct Near<'a> {
     part: &'a Image,
     pattern: &'a Pattern,
@@ -134,7 +134,7 @@ impl NullaryFnOnce for Near<'_> {
     }
 }
 
-/// Nodes in an image of so many pixels.
+/// Returns the nodes in an image of this size, px.
 pub(super) fn nodes_in((width, height): (usize, usize), pattern: &Pattern) -> Vec<(i32, i32)> {
     let Some(inverse) = pattern.basis().try_inverse() else { return Vec::new() };
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
@@ -154,7 +154,7 @@ pub(super) fn nodes_in((width, height): (usize, usize), pattern: &Pattern) -> Ve
         .collect()
 }
 
-/// Whether the border of an image of so many pixels cuts the window of a micro-image.
+/// Returns true if the border of an image of this size, px, cuts the window of a micro-image.
 pub(super) fn is_cut((width, height): (usize, usize), pattern: &Pattern, node: (i32, i32)) -> bool {
     let place = pattern.place(node.0, node.1);
     let to_border =
@@ -162,8 +162,8 @@ pub(super) fn is_cut((width, height): (usize, usize), pattern: &Pattern, node: (
     to_border < (WINDOW.1 + FOLLOWED) * pattern.pitch() + 1.0
 }
 
-/// Mean light of the middle of a micro-image above the background, and the part of it that is
-/// saturated, also where the border of the image cuts it.
+/// Returns the mean light of the middle of a micro-image above the background, and the fraction of it that is
+/// saturated, even if the border of the image cuts the micro-image.
 pub(super) fn middle_light(
     image: &Grey,
     pattern: &Pattern,
@@ -182,7 +182,7 @@ pub(super) fn middle_light(
     (count > 0.0).then(|| (light / count, saturated / count))
 }
 
-/// Outliers of a pattern. It is fitted to windows that have settled to [`SETTLED_PX`] only.
+/// Outliers of a pattern. It is fitted to windows that have settled only to [`SETTLED_PX`].
 const OUTLIERS: Outliers = Outliers {
     weight: Weight::Cut,
     scale: Scale::Median,
@@ -190,11 +190,12 @@ const OUTLIERS: Outliers = Outliers {
     least: 0.0,
     slack: SETTLED_PX,
 };
-/// Outliers of the pattern before are mostly those of the next; after three rounds they no longer change.
+/// Rounds of the fit. Outliers of one pattern mostly stay outliers of the next; after three rounds they no longer
+/// change.
 const FITS: usize = 3;
 
-/// The affine map from nodes to centres, robustly: outliers have no weight, and dark micro-images have
-/// little, as their centres are noisy.
+/// Fits the affine map from nodes to centres robustly. Outliers have no weight, and dark micro-images have little,
+/// since their centres are noisy.
 fn refit(pattern: &Pattern, blobs: &[Blob]) -> Option<Pattern> {
     if blobs.len() < FEWEST {
         return None;

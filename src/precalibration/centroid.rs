@@ -1,4 +1,4 @@
-//! The sub-pixel centre of one micro-image: its centroid in a soft window.
+//! Sub-pixel centre of one micro-image: its centroid in a soft window.
 
 // Only what is inlined into the dispatched function is compiled for its registers.
 #![allow(clippy::inline_always)]
@@ -9,35 +9,34 @@ use super::pattern::Pattern;
 use crate::image::Image;
 use crate::model::LatticeKind;
 
-/// What was measured of one micro-image.
+/// Measurement of one micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Blob {
     /// Node of the pattern.
     pub node: (i32, i32),
     /// Intensity centroid, px.
     pub center: Vector2<f64>,
-    /// Its standard deviation per axis, px, from how far the light is not symmetric about it.
+    /// Standard deviation of the centre per axis, px, from the asymmetry of the light about it.
     pub std_dev: f64,
     /// Mean intensity above the background.
     pub light: f64,
     /// Mean square distance of the light from the centre, px².
     pub spread: f64,
-    /// Part of the window that is saturated.
+    /// Fraction of the window that is saturated.
     pub saturated: f64,
 }
 
-/// Window of the centroid: 1 up to the first radius, falling to 0 at the second, in pitches. The
-/// soft edge keeps pixels from jumping in and out; it ends where neighbours may begin.
+/// Window of the centroid, in pitches: 1 up to the first radius, falling to 0 at the second. The soft edge keeps pixels
+/// from jumping in and out; it ends where neighbours may begin.
 pub(super) const WINDOW: (f64, f64) = (0.40, 0.54);
-/// In a window that is off by ε the centroid is off by up to ε/10; after a few rounds nothing is left of
-/// that.
+/// Rounds of the centroid. If the window is off by ε, the centroid is off by up to ε/10, so a few rounds are enough.
 const ROUNDS: usize = 4;
-/// Where a round moves a centre by less, px, the next would move it by a tenth of that only.
+/// Step of a centre, px, below which the rounds end: the next step would be a tenth of it.
 pub(super) const SETTLED_PX: f64 = 0.03;
-/// The first round reads one row in so many: it need only come near.
+/// Step of the rows in the first round, which only has to come near.
 const FIRST_ROWS: usize = 2;
-/// Measures one micro-image from where the pattern expects it; `None` if its window leaves the
-/// image or holds no light.
+/// Measures one micro-image near the place that the pattern gives. Returns `None` if its window leaves the image or
+/// holds no light.
 #[inline(always)]
 pub(super) fn measure_blob(image: &Image, pattern: &Pattern, node: (i32, i32)) -> Option<Blob> {
     let pitch = pattern.pitch();
@@ -50,7 +49,7 @@ pub(super) fn measure_blob(image: &Image, pattern: &Pattern, node: (i32, i32)) -
         let (next, there) = window.centroid(&center, 1)?;
         sums = there;
         let step = next - center;
-        // Light that leads out of the cell belongs to another micro-image.
+        // A centre outside the cell belongs to another micro-image.
         if (next - expected).norm() > 0.5 * pitch {
             return None;
         }
@@ -70,7 +69,7 @@ pub(super) fn measure_blob(image: &Image, pattern: &Pattern, node: (i32, i32)) -
     })
 }
 
-/// Mean intensity at the places about a micro-image that are furthest from all others: the background.
+/// Returns the background: the mean intensity at the places about a micro-image that are furthest from all others.
 pub(super) fn darkest_neighbourhood(
     image: &Image,
     pattern: &Pattern,
@@ -107,7 +106,7 @@ fn bilinear(image: &Image, p: &Vector2<f64>) -> Option<f64> {
     )
 }
 
-/// A soft round window on an image.
+/// Soft round window on an image.
 struct Window<'a> {
     image: &'a Image,
     inner: f64,
@@ -115,11 +114,11 @@ struct Window<'a> {
     background: f64,
 }
 
-/// Pixels that are added up side by side.
+/// Number of pixels that are added up side by side.
 const LANES: usize = 8;
 
-/// Sums over a window: light, light times offset, light times square offset, weights, pixels and
-/// saturated ones.
+/// Sums over a window: light, light times offset, light times squared offset, weights, number of pixels and number of
+/// saturated pixels.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sums {
     light: f64,
@@ -131,8 +130,8 @@ struct Sums {
     saturated: f64,
 }
 
-/// The pixels of the square about a window: the first one, how many columns and rows, and where the
-/// first is from the centre.
+/// Square of pixels about a window: its first pixel, its numbers of columns and rows, and the offset of the first pixel
+/// from the centre.
 struct Square {
     left: usize,
     top: usize,
@@ -144,14 +143,14 @@ struct Square {
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // inside the image; 32 bits do
 impl Window<'_> {
-    /// The square about a centre; `None` if it comes within a pixel of the border of the image. What
-    /// of it is outside the window has no weight.
+    /// Returns the square about a centre; `None` if it comes within a pixel of the border of the image. Its pixels
+    /// outside the window have no weight.
     fn square(&self, center: &Vector2<f64>) -> Option<Square> {
         let (first, last) = (center.map(|x| x - self.outer), center.map(|x| x + self.outer));
         let fits = first.min() >= 1.0
             && last.x <= self.image.width as f64 - 2.0
             && last.y <= self.image.height as f64 - 2.0;
-        // Of what is not below 0 a cast takes the floor, and faster.
+        // For values that are not negative a cast takes the floor, and faster.
         let ceil = |x: f64| x as usize + usize::from(x > x as usize as f64);
         fits.then(|| {
             let (left, top) = (ceil(first.x), ceil(first.y));
@@ -166,7 +165,7 @@ impl Window<'_> {
         })
     }
 
-    /// Reciprocal of the range over which the weight falls, in r²: so it needs no root.
+    /// Returns the reciprocal of the range of r² over which the weight falls. r² needs no root.
     fn fall(&self) -> f32 {
         (1.0 / (self.outer * self.outer - self.inner * self.inner)) as f32
     }
@@ -177,7 +176,7 @@ impl Window<'_> {
         let background = self.background as f32;
         let mut lanes = [[0.0_f32; LANES]; 7];
         let Square { left, top, columns, rows, dx, dy } = self.square(center)?;
-        // Whole chunks; what they hold beyond the window has no weight.
+        // Chunks are whole; their pixels outside the window have no weight.
         let columns = columns.next_multiple_of(LANES);
         let first = left.min(self.image.width.saturating_sub(columns));
         let start = dx - (left - first) as f32;
@@ -215,8 +214,8 @@ impl Window<'_> {
         (sums.light > 0.0).then_some((center + moved, sums))
     }
 
-    /// Standard deviation of the centroid per axis, px, from the difference between both sides of it:
-    /// noise, or a lack of symmetry.
+    /// Returns the standard deviation of the centroid per axis, px, from the difference between both sides: noise or
+    /// asymmetry.
     #[inline(always)]
     fn std_dev(&self, center: &Vector2<f64>, light: f64) -> Option<f64> {
         let (outer2, fall) = ((self.outer * self.outer) as f32, self.fall());
@@ -229,7 +228,7 @@ impl Window<'_> {
         let first = whole_u + 1 - left - columns;
         let mut lanes = [0.0_f32; LANES];
         let mut odd = vec![0.0_f32; columns.next_multiple_of(LANES)];
-        // The other half of the rows is the mirror of this.
+        // The other half of the rows mirrors this one.
         for row in (0..rows).take_while(|&row| dy + (row as f32) < 0.0) {
             let (v, dy) = (top + row, dy + row as f32);
             let pixels = &self.image.pixels[v * width + left..][..columns];
@@ -243,7 +242,7 @@ impl Window<'_> {
                 let below = lower[0] * (1.0 - du) + lower[1] * du;
                 *odd = (value - above * (1.0 - dv) - below * dv) * 0.5;
             }
-            // What the buffer holds beyond the row has no weight.
+            // The buffer beyond the row has no weight.
             for (i, chunk) in odd.as_chunks::<LANES>().0.iter().enumerate() {
                 let start = dx + (i * LANES) as f32;
                 for lane in 0..LANES {
@@ -254,7 +253,8 @@ impl Window<'_> {
             }
         }
         let variance = lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
-        // 2 Σ (w x e)² over all pixels along an axis, here the mean of both axes, from half of them.
+        // The variance along an axis is 2 Σ (w x e)² over all pixels; here the mean of both axes, from half of the
+        // pixels.
         Some((2.0 * variance).sqrt() / light)
     }
 }

@@ -1,18 +1,17 @@
-//! How far oblique light shifts the centroids of micro-images, and the array without that.
+//! Shift of the centroids of micro-images by oblique light, and the array corrected for it.
 //!
-//! Light falls off with its angle of incidence, by cos⁴ and by what the pixels add. Away from the
-//! optical axis a micro-image is therefore brighter on one side, and its centroid is shifted in
-//! proportion to its distance from the axis: all centres together seem to have another pitch. How far
-//! depends on the micro-image: its light Ī(r) changes by −g·L Ī, with the sensitivity L(r) of [`DiscLight::sensitivity`], and
-//! a centroid that is off by ε sees its window with −ε Ī′ more light on that side. In a window w(r) the two
-//! balance at ε = −g X with
+//! Light falls off with its angle of incidence, by cos⁴ and by the response of the pixels. So a micro-image off the
+//! optical axis is brighter on one side, and its centroid is shifted in proportion to its distance from the axis. All
+//! centres together seem to have another pitch. The shift depends on the micro-image: its light Ī(r) changes by −g·L Ī,
+//! with the sensitivity L(r) of [`DiscLight::sensitivity`]. The window of a centroid that is off by ε holds −ε Ī′ more
+//! light on that side. In a window w(r) the two effects balance at ε = −g X with
 //!
 //! ```text
 //!     X = Σ w L Ī r² / Σ w (−Ī′) r²
 //! ```
 //!
-//! over the rings of the mean micro-image as the image shows it. Light that is clipped changes nothing, and a
-//! window that cuts some of it is taken into account.
+//! over the rings of the mean micro-image as the image shows it. Clipped light changes nothing, and X accounts for a
+//! window that cuts some of the light.
 //!
 //! [`DiscLight::sensitivity`]: super::disc_geometry::DiscLight::sensitivity
 
@@ -27,7 +26,7 @@ use crate::error::Result;
 use crate::model::FallOff;
 use crate::optics::Obliquity;
 
-/// X (px²) of micro-images with these rings, in a window by distance.
+/// Computes X (px²) of micro-images with these rings, in a window by distance.
 fn shift_moment(
     rings: &[Ring],
     window: impl Fn(f64) -> f64,
@@ -44,17 +43,17 @@ fn shift_moment(
     if restoring > 0.0 { change / restoring } else { 0.0 }
 }
 
-/// How far the centroids of one lens type are shifted.
+/// Moments of the centroid shift of one lens type.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Moment {
-    /// X in the middle of the array, px².
+    /// Moment X in the middle of the array, px².
     x: f64,
-    /// What the shift over g in the middle grows by where d grows, over the relative growth of d, px².
+    /// Derivative of the shift over g in the middle, by the relative growth of d, px².
     growth: f64,
 }
 
-/// The moments by lens type. `light` is that of each type where the centroids were measured, `law` how
-/// it falls off inside a micro-image.
+/// Computes the moments by lens type. `light` is the light of each type where the centroids were measured, `law` the
+/// angular response inside a micro-image.
 pub(super) fn shift_moments(
     light: &[Alike],
     geometry: &DiscGeometry,
@@ -68,7 +67,7 @@ pub(super) fn shift_moments(
         let rings = &alike.mean;
         let sum = |light: fn(&Ring) -> f64| rings.iter().map(|r| r.radius * light(r)).sum::<f64>();
         let unclipped = sum(|ring| ring.unclipped) / sum(|ring| ring.light).max(1e-9);
-        // As the discs have it where d is larger: there g is smaller.
+        // The discs where d is larger; there g is smaller.
         let reach = rings.iter().map(|ring| ring.radius).fold(0.0, f64::max);
         let discs = |growth: f64| geometry.light(lens_type, growth, law, reach);
         let of_discs = |growth: f64| {
@@ -83,15 +82,15 @@ pub(super) fn shift_moments(
         let as_measured = discs(0.0);
         Moment {
             x: shift_moment(rings, window, |r| as_measured.sensitivity(r)),
-            // Light that is clipped shifts nothing.
+            // Clipped light shifts nothing.
             growth: (of_discs(GROWTH) - of_discs(-GROWTH)) / (2.0 * GROWTH) * unclipped,
         }
     };
     light.iter().enumerate().map(of_type).collect()
 }
 
-/// The array of the reference, its centres less the shift by the fall-off, and the relative change of the
-/// pitch by that. d grows over the image by `growth_per_px`.
+/// Corrects the centres of the reference for the shift by the angular response. Returns the array and the relative
+/// change of its pitch. `growth_per_px` is the relative growth of d over the image.
 pub(super) fn corrected_array(
     found: &FoundArray,
     fall_off: &FallOff,
@@ -116,7 +115,7 @@ pub(super) fn corrected_array(
 mod tests {
     use super::*;
 
-    /// Rings of light that falls from full to nothing about `edge`, clipped inside `clipped`.
+    /// Creates rings of light that falls from full to nothing about `edge`, clipped inside `clipped`.
     fn disc(edge: f64, clipped: f64) -> Vec<Ring> {
         let ring = |i: u32| {
             let radius = (f64::from(i) + 0.5) * 0.25;
@@ -133,15 +132,15 @@ mod tests {
         (0..80).map(ring).collect()
     }
 
-    /// A disc of radius a whose light changes by −g·y has the centroid −g a²/4; here a is 5 to 7, in equal
-    /// parts by light of the edge, and ⟨a⁴⟩/4⟨a²⟩ = 1368.2/145.3.
+    /// A disc of radius a whose light changes by −g·y has the centroid −g a²/4. Here a is 5 to 7, in equal parts by
+    /// light of the edge, and ⟨a⁴⟩/4⟨a²⟩ = 1368.2/145.3.
     #[test]
     fn an_open_window_sees_the_whole_moment() {
         let x = shift_moment(&disc(6.0, 0.0), |_| 1.0, |r| r);
         assert!((x - 9.415).abs() < 0.05, "{x}");
     }
 
-    /// In a window that ends inside the light nothing holds the centroid but the fall of the window itself.
+    /// Only the fall of the window itself holds the centroid if the window ends inside the light.
     #[test]
     fn a_window_that_cuts_the_light_amplifies_the_shift() {
         let window = |r: f64| ((7.0 - r) / 2.0).clamp(0.0, 1.0);

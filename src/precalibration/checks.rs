@@ -1,4 +1,4 @@
-//! Whether white images belong together and to the camera that is stated, and what the user should know.
+//! Checks whether white images belong together and to the stated camera, and findings for the user.
 
 use super::disc_geometry::DiscGeometry;
 use super::grid::MicroImageArray;
@@ -12,17 +12,16 @@ use crate::finding::Finding;
 use crate::image::Grey;
 use crate::model::{Datasheet, InternalParameters, Sensor, positive};
 
-/// Stated and measured pitch of the micro-images agree within this part. Both are known to a few parts in
-/// 10⁴, or to 10⁻³ where centres are not corrected for oblique light; beyond that they are of different
-/// cameras.
+/// Relative tolerance between stated and measured micro-image pitch. Both are known to a few parts in 10⁴, or to 10⁻³
+/// if centres are not corrected for oblique light. A larger difference means different cameras.
 const SAME_PITCH: f64 = 2e-3;
 
-/// An error that names the image.
+/// Returns an error that names the image.
 pub(super) fn named(name: &str, error: &Error) -> Error {
     Error::invalid(format!("{name}: {error}"))
 }
 
-/// The white image that the array is measured in; an error unless all of them belong together.
+/// Returns the white image in which the array is measured. Returns an error unless all images belong together.
 pub(super) fn reference_of<'a>(
     whites: &'a [White],
     reference: Option<&'a White>,
@@ -47,7 +46,7 @@ pub(super) fn reference_of<'a>(
     Ok(reference)
 }
 
-/// White images whose colour is not what is stated.
+/// Returns findings about white images whose colour is not the stated one.
 pub(super) fn doubtful_colors(whites: &[White]) -> Vec<Finding> {
     let doubt = |white: &White| {
         Some(Finding::caution(white.image.doubtful_color()?).about_image(&white.name))
@@ -88,8 +87,8 @@ fn check_sizes(whites: &[White], reference: &White) -> Result<()> {
     }
 }
 
-/// An error if the camera's file or the internal parameters state another pitch Δc of the micro-images
-/// than their centres have.
+/// Returns an error if the camera's file or the internal parameters state another micro-image pitch Δc than the centres
+/// have.
 pub fn check_stated_pitch(
     sheet: &Datasheet,
     internal: &InternalParameters,
@@ -113,7 +112,7 @@ pub fn check_stated_pitch(
     Ok(())
 }
 
-/// A finding if the micro-images of the reference do not have the size of its f-number.
+/// Returns a finding if the micro-images of the reference do not have the size of its f-number.
 pub(super) fn different_aperture(
     (reference, grey): (&White, &Grey),
     geometry: &DiscGeometry,

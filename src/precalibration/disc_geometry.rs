@@ -1,4 +1,4 @@
-//! The discs of pupil and blur that make the micro-images of a white image, and their light by distance from the middle.
+//! Discs of pupil and blur that form the micro-images of a white image, and their light by distance from the middle.
 
 use nalgebra::Vector2;
 
@@ -7,26 +7,26 @@ use super::options::PrecalibrationOptions;
 use crate::model::{InternalParameters, TiltGradient, growth_per_px};
 use crate::optics::{Obliquity, RadialPixels, Seen, WhiteDiscs};
 
-/// Step of derivatives by the growth of d.
+/// Step of derivatives by the relative growth of d.
 pub(super) const GROWTH: f64 = 1e-2;
 
-/// The discs of pupil and blur in a white image.
+/// Discs of pupil and blur in a white image.
 #[derive(Debug)]
 pub(super) struct DiscGeometry {
-    /// a, px.
+    /// Pupil radius a, px.
     pupil_px: f64,
-    /// φqᵢ with its sign, by lens type, px.
+    /// Signed blur radius φqᵢ by lens type, px.
     q_px: Vec<f64>,
-    /// φΔC/2, the radius of a micro-lens, px.
+    /// Radius φΔC/2 of a micro-lens, px.
     lens_px: f64,
-    /// (D + d)/d.
+    /// Ratio (D + d)/d.
     lens_to_sensor: f64,
     /// Variance of the point spread, px².
     point_spread_px2: f64,
 }
 
 impl DiscGeometry {
-    /// Of an image at this f-number.
+    /// Creates the geometry of an image at this f-number.
     pub fn new(
         internal: &InternalParameters,
         f_number: f64,
@@ -42,15 +42,15 @@ impl DiscGeometry {
                 .iter()
                 .map(|q| ratio * (q / pixel - pitch_px / 2.0))
                 .collect(),
-            // The micro-image pitch is that of the lenses as projected from the pupil. Where a large pupil and
-            // a large blur nearly cancel in how far light shifts a centroid, the 2 % show.
+            // The micro-image pitch is the lens pitch projected from the pupil. If a large pupil and a large blur
+            // nearly cancel in the centroid shift, these 2 % matter.
             lens_px: ratio * pitch_px / 2.0 * (1.0 - distance_px / lens_to_sensor_px),
             lens_to_sensor: lens_to_sensor_px / distance_px,
             point_spread_px2: internal.point_spread_px2(),
         }
     }
 
-    /// How d grows over the image, px⁻¹.
+    /// Computes the relative growth of d over the image, px⁻¹.
     pub fn growth_per_px(
         &self,
         tilt_gradient: Option<&TiltGradient>,
@@ -59,18 +59,18 @@ impl DiscGeometry {
         growth_per_px(tilt_gradient, &grid.perspective_per_px, self.lens_to_sensor)
     }
 
-    /// The point spread of its pixels, px².
+    /// Returns the point spread of the pixels, px².
     pub fn point_spread_px2(&self) -> f64 {
         self.point_spread_px2
     }
 
-    /// Radii a and b of the discs of pupil and blur, px.
+    /// Returns the radii a and b of the discs of pupil and blur, px.
     pub fn radii(&self, lens_type: usize) -> (f64, f64) {
         (self.pupil_px, self.q_px[lens_type].abs())
     }
 
-    /// The light up to a distance from the middle, px, where d is larger by the part `growth`. `law` is how light falls off
-    /// inside a micro-image where it is not.
+    /// Computes the light up to a distance from the middle, px, where d is larger by the fraction `growth`. `law` is
+    /// the angular response inside a micro-image without growth.
     pub fn light(
         &self,
         lens_type: usize,
@@ -79,8 +79,8 @@ impl DiscGeometry {
         reach_px: f64,
     ) -> DiscLight {
         let (a, q) = (self.pupil_px, self.q_px[lens_type]);
-        // The sensor stays where it is, so the pupil comes nearer: a is (pupil's radius) d/D. φ(qᵢ + ΔC/2) grows in
-        // proportion to d, and the micro-lens stays.
+        // The sensor does not move, so the pupil is nearer: a is (radius of the pupil) d/D. φ(qᵢ + ΔC/2) is
+        // proportional to d, and the micro-lens does not change.
         let nearer = self.lens_to_sensor / (self.lens_to_sensor - 1.0);
         let (by_growth, q_by_growth) = (a * nearer, q + self.lens_px);
         // Light arrives less obliquely.
@@ -116,24 +116,25 @@ pub(super) struct DiscLight {
 }
 
 impl DiscLight {
-    /// The light at a distance, px, over that in the middle, and how it changes where d grows, over its relative growth.
+    /// Returns the light at a distance, px, and its derivative by the relative growth of d, both relative to the light
+    /// in the middle.
     pub fn with_growth(&self, r: f64) -> (f64, f64) {
         let middle = self.light.at(0.0);
         (self.light.at(r) / middle, self.by_growth.at(r) / middle)
     }
 
-    /// The light at a distance, px, in a unit of its own, and its slope, px⁻¹.
+    /// Returns the light at a distance, px, in a unit of its own, and its slope, px⁻¹.
     pub fn with_slope(&self, r: f64) -> (f64, f64) {
         self.light.with_slope(r)
     }
 
-    /// By how much it falls with the gradient g, over itself: |y − M|, px, outwards, the mean over the light of a pixel and over
-    /// the part of the micro-lens that it sees the pupil through.
+    /// Returns the relative decrease of the light with the gradient g: |y − M| outwards, px. It is averaged over the
+    /// light of a pixel and over the part of the micro-lens through which the pixel sees the pupil.
     pub fn sensitivity(&self, r: f64) -> f64 {
         let light = self.light.at(r);
         if light > DARK { self.sensitivity.at(r) / light } else { 0.0 }
     }
 }
 
-/// Less light than this part of the brightest has no direction.
+/// Fraction of the brightest light below which light has no direction.
 const DARK: f64 = 1e-6;

@@ -1,18 +1,18 @@
-//! Pupil and blur from the light of all micro-images at once.
+//! Fit of pupil and blur to the light of all micro-images at once.
 //!
-//! The light of a micro-image shows the radii of both discs, a + b where it ends and |a − b| where it
-//! begins to fall, if it is not clipped. b = |qᵢ| is the same at all f-numbers, and a is the same for all
-//! lens types. So both are fitted to all profiles together, and b needs no f-number. a follows
+//! The light of a micro-image shows the radii of both discs: it ends at a + b and, unless it is clipped, begins to fall
+//! at |a − b|. b = |qᵢ| is the same at all f-numbers, and a is the same for all lens types. So both are fitted to all
+//! profiles together, and b needs no f-number. a follows the law
 //!
 //! a(N) = |m|/N · (1 + c/2 · (m/(N d))²)
 //!
-//! with c = 0 for a thin lens, which has a flat pupil, and about 1 for a lens that is free of coma: by Abbe's sine
-//! condition its aperture 1/N is proportional to sin u', but a/d is tan u'. Pupils have aberrations too, so c
-//! is fitted. F-numbers are not exact; by how much shows in how far the pupils are from this law.
+//! with c = 0 for a thin lens, which has a flat pupil, and about 1 for a lens without coma: by Abbe's sine condition
+//! its aperture 1/N is proportional to sin u', but a/d is tan u'. Pupils have aberrations too, so c is fitted. The
+//! scatter of the pupils about this law shows the error of the f-numbers.
 //!
-//! The point spread makes all edges wider by the same amount. Where the pupil is smaller than the blur the edge is as wide
-//! as the pupil, which is proportional to 1/N; where it is larger, as wide as the blur. So the edges of a few f-numbers
-//! tell the variance of the point spread from the discs.
+//! The point spread widens all edges by the same amount. An edge is as wide as the smaller disc: the pupil, which is
+//! proportional to 1/N, or the blur, which is constant. So the edges at a few f-numbers separate the variance of the
+//! point spread from the discs.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -21,94 +21,95 @@ use super::profile::{Profile, own_light_px};
 use crate::optics::{Obliquity, RadialPixels, Seen, WhiteDiscs};
 use crate::quantity::Estimate;
 
-/// Pupils further from their law, relative, are not those of the light: noise that is clipped bends it.
+/// Largest relative scatter of pupils about their law. If it is larger, clipped noise distorts the light.
 const MOST_F_NUMBER_ERROR: f64 = 0.06;
-/// Point spreads above this reach into the light of the neighbours, and the discs are fitted again without the light there,
-/// px².
+/// Variance of the point spread, px², above which it reaches into the light of the neighbours. The discs are then
+/// fitted again without that light.
 const REACHES_PX2: f64 = 0.02;
 
-/// c before anything is measured, and its standard deviation: between a thin lens and a double Gauss.
+/// Prior of c and its standard deviation: between a thin lens and a double Gauss.
 const SINE: (f64, f64) = (0.7, 0.7);
-/// How well discs of even light can tell H, as a part of that of cos⁴. H bends the light by a hundredth, so that errors of
-/// the model by a thousandth show: in data sets of simulated cameras H is 3 to 22 % too small.
+/// Model error of H, relative to the H of cos⁴. H changes the light by a hundredth, so model errors of a thousandth
+/// matter: in data sets of simulated cameras H is 3 to 22 % too small.
 const WITHIN_MODEL: f64 = 0.12;
-/// The relative error that f-numbers are taken to have unless white images show another, and how much that
-/// counts: with five of them hardly at all, with two it is all there is.
+/// Prior of the relative error of f-numbers, and its weight in white images. With five white images the prior hardly
+/// matters, with two it is decisive.
 const F_NUMBERS: (f64, f64) = (0.02, 0.02);
-/// What is known of the variance of the point spread beforehand: no pixels and micro-lenses are ideal, px².
+/// Prior of the variance of the point spread and its standard deviation, px²: pixels and micro-lenses are not ideal.
 const SPREAD: (f64, f64) = (0.1, 0.3);
-/// How well discs tell it, px²: edges are as wide as the model of oblique light and of the pixels makes them.
+/// Model error of this variance, px²: edges also depend on the models of oblique light and of the pixels.
 const SPREAD_MODEL: f64 = 0.006;
-/// How well they tell |qᵢ|, px: openings narrower than the pitch change the angles of the light a little, and they are not known
-/// yet. In 14 data sets of `mini` with aperture ratios from 0.85 to 1, |qᵢ| is off by 0.000 to 0.007 px.
+/// Model error of |qᵢ|, px. Openings narrower than the pitch change the angles of the light a little, and the aperture
+/// ratio is not known yet. In 14 data sets of `mini` with aperture ratios from 0.85 to 1, |qᵢ| is off by 0.000 to 0.007
+/// px.
 const BLUR_MODEL: f64 = 0.003;
-/// Rounds of the descent; the error of the f-numbers follows in each.
+/// Rounds of the descent. Each updates the error of the f-numbers.
 const ROUNDS: usize = 16;
-/// It is at its end where a round changes the sum of squares, and the error of the f-numbers relatively, by less.
+/// Change of the sum of squares, and relative change of the error of the f-numbers, below which the descent ends.
 const SETTLED: f64 = 1e-3;
 /// Step of the derivative by the point spread, px².
 const STEP_PX2: f64 = 1e-4;
-/// Where all blurs are smaller, edges are as pixels make them, px.
+/// Blur radius below which pixels determine the shape of edges, px.
 const RESOLVED_PX: f64 = 1.0;
-/// Weight of what is held, larger than that of any light.
+/// Weight that holds a parameter: larger than the weight of any light.
 const HELD: f64 = 1e15;
-/// Least radius of a disc, px.
+/// Smallest radius of a disc, px.
 const LEAST_PX: f64 = 0.05;
 
-/// What a profile depends on: both radii, H and the point spread.
+/// Number of parameters of a profile: both radii, H and the point spread.
 const OF_LIGHT: usize = 4;
-/// How well H follows from G by the law of the angle, relative: the pupil may be off the lens, and pixels see the two
-/// angles differently.
+/// Relative standard deviation of H if it follows from G by the law of the angle: the pupil may be off the lens, and
+/// pixels respond differently to the two angles.
 pub(super) const WITHIN: f64 = 0.25;
 
-/// Where the fit begins, and what it does not change.
+/// Start of the fit, and quantities that it holds.
 #[derive(Debug, Clone)]
 pub(super) struct Known {
-    /// N by white image.
+    /// F-number N of each white image.
     pub f_numbers: Vec<f64>,
-    /// |m|, px.
+    /// Slope |m|, px.
     pub m_px: f64,
-    /// qᵢ by lens type, with its sign, px.
+    /// Signed blur radius qᵢ by lens type, px.
     pub q_px: Vec<f64>,
-    /// d, px.
+    /// Distance d from array to sensor, px.
     pub mla_to_sensor_px: f64,
-    /// Δc, px.
+    /// Micro-image pitch Δc, px.
     pub pitch_px: f64,
-    /// H over that of cos⁴.
+    /// H relative to the H of cos⁴.
     pub within: f64,
 }
 
 impl Known {
-    /// H of cos⁴, px⁻².
+    /// Returns H of cos⁴, px⁻².
     pub fn cos4_per_px2(&self) -> f64 {
         4.0 / self.mla_to_sensor_px.powi(2)
     }
 }
 
-/// The discs, with standard deviations.
+/// Fitted discs, with standard deviations.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Discs {
-    /// |m| and its σ, px.
+    /// Slope |m| and its σ, px.
     pub m_px: (f64, f64),
-    /// a/(|m|/N) − 1, times N²: c/2 · (m/d)².
+    /// Growth of the pupil (a/(|m|/N) − 1) N² = c/2 · (m/d)².
     pub pupil_growth: f64,
-    /// |qᵢ| and its σ, px.
+    /// Blur radii |qᵢ| and their σ, px.
     pub blur_px: Vec<(f64, f64)>,
     /// H and its σ, px⁻².
     pub within_per_px2: (f64, f64),
-    /// c and its σ.
+    /// Coefficient c and its σ.
     pub sine: (f64, f64),
     /// Relative error of the f-numbers.
     pub f_number_error: f64,
-    /// The power of the samples that light is, less 1, and its σ: 0 for samples that are linear in
-    /// light. `None` where the discs are too small to tell.
+    /// Power of the samples to which light is proportional, less 1, and its σ; 0 for samples that are linear in light.
+    /// `None` if the discs are too small to show it.
     pub exponent: Option<(f64, f64)>,
-    /// The point spread, px².
+    /// Variance of the point spread, px².
     pub point_spread_px2: Estimate,
 }
 
-/// The discs of all micro-images; `profiles` by white image and lens type. `None` if the light does not
-/// determine them, or pupils that no f-numbers have.
+/// Fits the discs of all micro-images to `profiles`, by white image and lens type. Returns `None` if the light does not
+/// determine them, or if no f-numbers explain the pupils.
 pub(super) fn fit_discs(profiles: &[Vec<&Profile>], known: &Known) -> Option<Discs> {
     let mut fit = Fit::new(profiles, known);
     let mut discs = fit.descend()?;
@@ -120,7 +121,7 @@ pub(super) fn fit_discs(profiles: &[Vec<&Profile>], known: &Known) -> Option<Dis
     (possible && discs.f_number_error < MOST_F_NUMBER_ERROR).then_some(discs)
 }
 
-/// A covariance with an error of one quantity that is not in it: all others follow as they do in the fit, by their
+/// Adds a model error of one quantity to a covariance. All other quantities follow as they do in the fit: by their
 /// covariance with it over its variance.
 fn with_model_error(mut covariance: DMatrix<f64>, quantity: usize, std_dev: f64) -> DMatrix<f64> {
     let follow = covariance.column(quantity) / covariance[(quantity, quantity)] * std_dev;
@@ -128,11 +129,11 @@ fn with_model_error(mut covariance: DMatrix<f64>, quantity: usize, std_dev: f64)
     covariance
 }
 
-/// The radii, H over that of cos⁴, the variance of the point spread, |m| and c, in one vector.
+/// State of the fit: the radii, H relative to cos⁴, the variance of the point spread, |m| and c in one vector.
 struct Fit<'a> {
     known: &'a Known,
     lights: Vec<Light>,
-    /// a, b, H, point spread, |m|, c.
+    /// Parameters a, b, H, point spread, |m|, c.
     at: DVector<f64>,
     f_number_error: f64,
 }
@@ -155,7 +156,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 impl<'a> Fit<'a> {
-    /// At where the fit begins.
+    /// Creates the fit at its start.
     fn new(profiles: &[Vec<&Profile>], known: &'a Known) -> Self {
         let pupils = known.f_numbers.iter().map(|n| known.m_px / n);
         let blurs = known.q_px.iter().map(|q| q.abs().max(LEAST_PX));
@@ -166,7 +167,7 @@ impl<'a> Fit<'a> {
         fit
     }
 
-    /// Takes the light that is not of neighbours with this point spread, px.
+    /// Selects the light that does not come from neighbours, with a point spread of this standard deviation, px.
     fn take_light(&mut self, profiles: &[Vec<&Profile>], spread_px: f64) {
         let (known, whites) = (self.known, self.whites());
         let widest = self.at.rows(whites, known.q_px.len()).max();
@@ -189,7 +190,7 @@ impl<'a> Fit<'a> {
         lights.for_each(|(light, middle)| light.profile.middle = middle);
     }
 
-    /// Follows the discs down; `None` if the light does not determine them.
+    /// Runs the descent. Returns `None` if the light does not determine the discs.
     fn descend(&mut self) -> Option<Discs> {
         let mut damping = 1e-6;
         let mut system = self.system()?;
@@ -215,7 +216,8 @@ impl<'a> Fit<'a> {
         self.discs(&system.0)
     }
 
-    /// A damped step. Variances of point spreads end at 0, and all else moves as it does then.
+    /// Solves for a damped step. If it would take the variance of the point spread below 0, this ends at 0, and all
+    /// other parameters follow.
     fn step(
         &self,
         (normal, right): &(DMatrix<f64>, DVector<f64>),
@@ -235,41 +237,41 @@ impl<'a> Fit<'a> {
         Some(damped.cholesky()?.solve(&right))
     }
 
-    /// Whether the descent led somewhere.
+    /// Returns true if all parameters are finite.
     fn is_finite(&self) -> bool {
         self.at.iter().all(|x| x.is_finite())
     }
 
-    /// Number of white images.
+    /// Returns the number of white images.
     fn whites(&self) -> usize {
         self.known.f_numbers.len()
     }
 
-    /// Index of H, which all light depends on, and that of the point spread, likewise.
+    /// Returns the indices of H and of the point spread, on which all light depends.
     fn of_all(&self) -> [usize; 2] {
         let first = self.whites() + self.known.q_px.len();
         [first, first + 1]
     }
 
-    /// Indices of |m| and c.
+    /// Returns the indices of |m| and c.
     fn law(&self) -> [usize; 2] {
         self.of_all().map(|i| i + 2)
     }
 
-    /// Indices of what one profile depends on: its radii, H and the point spread.
+    /// Returns the indices of the parameters of one profile: its radii, H and the point spread.
     fn places(&self, light: &Light) -> [usize; OF_LIGHT] {
         let [within, spread] = self.of_all();
         [light.white, self.whites() + light.lens_type, within, spread]
     }
 
-    /// Pixels with the point spread, changed a little, px².
+    /// Creates pixels with the point spread of the fit plus `by`, px².
     fn pixels(&self, by: f64) -> RadialPixels {
         let [_, spread] = self.of_all();
         let furthest = self.lights.iter().map(|light| light.profile.furthest_px());
         RadialPixels::new(self.at[spread] + by, furthest.fold(0.0, f64::max))
     }
 
-    /// The discs of one profile.
+    /// Returns the discs of one profile.
     fn discs_of(&self, light: &Light) -> WhiteDiscs {
         let [pupil_px, blur, within, _] = self.places(light).map(|i| self.at[i]);
         let Known { mla_to_sensor_px, pitch_px, .. } = *self.known;
@@ -279,15 +281,15 @@ impl<'a> Fit<'a> {
         WhiteDiscs { pupil_px, q_px, opening_px, law }
     }
 
-    /// The light of one profile by its discs.
+    /// Computes the light of one profile from its discs.
     fn light(&self, light: &Light, pixels: &RadialPixels) -> Seen {
         let discs = self.discs_of(light);
         let [seen] = pixels.see(|t| [discs.light(t)]);
         seen
     }
 
-    /// Weighted residuals of one profile with their derivatives by what it depends on, and by the power of the samples if
-    /// that is asked for. The second pixels have a point spread that is larger by [`STEP_PX2`].
+    /// Computes the weighted residuals of one profile and their derivatives by its parameters and, with `power`, by the
+    /// power of the samples. The second pixels have a point spread that is larger by [`STEP_PX2`].
     fn rows(
         &self,
         light: &Light,
@@ -312,7 +314,7 @@ impl<'a> Fit<'a> {
         Some(Rows { residuals, columns })
     }
 
-    /// a by the law, and its derivatives by |m| and c.
+    /// Computes a by the law, and its derivatives by |m| and c.
     fn pupil(&self, f_number: f64) -> [f64; 3] {
         let [m, c] = self.law();
         let (paraxial, sine) = (self.at[m] / f_number, self.at[c]);
@@ -324,8 +326,7 @@ impl<'a> Fit<'a> {
         ]
     }
 
-    /// Residuals of the law and of what is known beforehand over their standard deviations, with their
-    /// derivatives.
+    /// Computes the residuals of the law and of the priors over their standard deviations, with their derivatives.
     fn expectations(&self) -> Vec<(f64, Vec<(usize, f64)>)> {
         let ([h, spread], [m, c]) = (self.of_all(), self.law());
         let of_white = |(i, f_number): (usize, &f64)| {
@@ -343,8 +344,8 @@ impl<'a> Fit<'a> {
         all
     }
 
-    /// The power of the samples that light is, less 1, and its σ: what one step of the fit finds where
-    /// that is free too. `None` where pixels hide it.
+    /// Estimates the power of the samples to which light is proportional, less 1, and its σ, by one step of a fit with
+    /// a free power. Returns `None` if pixels hide it.
     fn exponent(&self) -> Option<(f64, f64)> {
         let blurs = self.at.rows(self.whites(), self.known.q_px.len());
         if blurs.max() < RESOLVED_PX {
@@ -354,7 +355,7 @@ impl<'a> Fit<'a> {
         let power = right.len() - 1;
         let [_, spread] = self.of_all();
         if self.at[spread] <= 0.0 {
-            // It stays at its end.
+            // The point spread stays at 0.
             normal[(spread, spread)] += HELD;
             right[spread] = 0.0;
         }
@@ -364,12 +365,12 @@ impl<'a> Fit<'a> {
         Some(((&covariance * right)[power], (excess * covariance[(power, power)]).sqrt()))
     }
 
-    /// Half the gradient's opposite, and the normal matrix.
+    /// Computes the normal matrix and half the negative gradient.
     fn system(&self) -> Option<(DMatrix<f64>, DVector<f64>)> {
         self.system_with(false)
     }
 
-    /// The same, with the power of the samples as the last quantity if that is asked for.
+    /// Computes [`Fit::system`]; with `power`, the power of the samples is the last parameter.
     fn system_with(&self, power: bool) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let size = self.at.len() + usize::from(power);
         let pixels = [&self.pixels(0.0), &self.pixels(STEP_PX2)];
@@ -396,7 +397,7 @@ impl<'a> Fit<'a> {
         Some((normal, right))
     }
 
-    /// The sum of squares of all light, and the number of its bins.
+    /// Computes the sum of squares of all light, and the number of its bins.
     fn squares(&self) -> Option<(f64, f64)> {
         let pixels = self.pixels(0.0);
         let of_light = |light: &Light| {
@@ -419,8 +420,8 @@ impl<'a> Fit<'a> {
         at
     }
 
-    /// The error of f-numbers by how far pupils are from the law: the mean square that is expected, with what
-    /// is not known of the pupils (the step of an expectation maximisation).
+    /// Estimates the error of the f-numbers from the scatter of the pupils about the law: the expected mean square,
+    /// with the uncertainty of the pupils (the step of an expectation maximisation).
     fn expected_error(&self, normal: &DMatrix<f64>) -> Option<f64> {
         let covariance = normal.clone().cholesky()?.inverse();
         let whites = self.whites() as f64;
@@ -469,8 +470,8 @@ mod tests {
     const PITCH_PX: f64 = 23.3;
     const WITHIN: f64 = 2.5e-3;
 
-    /// The light of discs of radii a and b through a Galilean micro-lens with this point spread, px², up to where it is
-    /// clipped.
+    /// Computes the light of discs of radii a and b through a Galilean micro-lens, with this point spread, px², and
+    /// without clipped bins.
     fn light([a, b]: [f64; 2], spread: f64, clipped: f64) -> Profile {
         let bin =
             |i: u32| Bin { radius: 0.125 * (f64::from(i) + 0.5), std_dev: 1e-4, ..Bin::default() };
@@ -485,7 +486,7 @@ mod tests {
         profile
     }
 
-    /// Of a lens with this c, at the stops times 1 + `errors`, which are not known.
+    /// Fits a lens with this c. Its true f-numbers are the stops times 1 + `errors`; the fit assumes the stops.
     fn found(stops: &[f64], sine: f64, errors: &[f64], clipped: f64) -> Discs {
         fitted((stops, errors), sine, 0.0, clipped).unwrap()
     }
@@ -505,7 +506,7 @@ mod tests {
                 BLUR_PX.iter().map(|b| light([a, *b], spread, clipped)).collect()
             })
             .collect();
-        // As straight lines begin, which took the larger pupil for a larger slope.
+        // The start by straight lines, which take the larger pupil for a larger slope.
         let known = Known {
             f_numbers: stops.to_vec(),
             m_px: 1.01 * M_PX,
@@ -518,7 +519,7 @@ mod tests {
         fit_discs(&profiles, &known)
     }
 
-    /// The largest error of |qᵢ|, px, and the largest of m and all of them over its σ.
+    /// Returns the largest error of |qᵢ|, px, and the largest error of m and all |qᵢ| over its σ.
     fn errors(discs: &Discs) -> (f64, f64) {
         let blurs =
             || discs.blur_px.iter().zip(BLUR_PX).map(|(b, truth)| ((b.0 - truth).abs(), b.1));
@@ -550,13 +551,13 @@ mod tests {
         assert!((0.005..0.03).contains(&discs.f_number_error), "{discs:?}");
     }
 
-    /// As clipped noise makes them.
+    /// Clipped noise gives such pupils.
     #[test]
     fn pupils_that_no_f_numbers_have_are_none() {
         assert!(fitted((&STOPS, &[-0.15, 0.12, -0.1, 0.15, -0.12]), 1.0, 0.0, 1.0).is_none());
     }
 
-    /// Up to more than sensors have, also where the middle is clipped.
+    /// The range includes more than sensors have, and a clipped middle.
     #[test]
     fn point_spreads_are_told_from_discs() {
         for (spread, clipped) in [(0.0, 1.0), (0.09, 1.0), (0.25, 1.0), (1.0, 1.0), (0.25, 0.3)] {
@@ -579,7 +580,7 @@ mod tests {
         }
     }
 
-    /// Without plateaus |qᵢ| rests on the f-numbers, and its σ says so.
+    /// Without plateaus |qᵢ| depends on the f-numbers, and its σ includes this.
     #[test]
     fn clipped_light_says_less() {
         let clipped = found(&STOPS, 1.0, &[0.0; 5], 0.2);
@@ -590,7 +591,7 @@ mod tests {
         assert!(two.blur_px[0].1 > 3.0 * clipped.blur_px[0].1, "{two:?} {clipped:?}");
     }
 
-    /// The second goes half as far as the first, with scatter of its own; the third knows nothing of it.
+    /// The second quantity follows the first by half, with scatter of its own; the third does not depend on it.
     #[test]
     fn what_follows_a_quantity_has_its_error() {
         let covariance = DMatrix::from_row_slice(

@@ -1,5 +1,4 @@
-//! Whether the f-numbers of white images can be right: micro-images grow in a straight line with 1/N,
-//! Eq. (miradiusfnumber).
+//! Check of the f-numbers of white images: micro-images grow in a straight line with 1/N, Eq. (miradiusfnumber).
 
 use super::internal::{RadiusMeasurement, fit_internal};
 use super::options::White;
@@ -7,33 +6,34 @@ use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
 use crate::model::Configuration;
 
-/// A radius this part away from where the other f-numbers put it is the sign of a wrong f-number: half a
-/// stop at f/4 changes a radius by 10 %.
+/// Relative deviation of a radius from the prediction of the other f-numbers that shows a wrong f-number: half a stop
+/// at f/4 changes a radius by 10 %.
 const CONTRADICTION: f64 = 0.05;
-/// This part is enough where it is so many times the root mean square distance of the others from their
-/// lines: f/9 for f/8.
+/// Smaller deviation that is enough if it is also this many times the root mean square deviation of the others from
+/// their lines: f/9 for f/8.
 const NOTICEABLE: f64 = 0.01;
 const OUT_OF_LINE: f64 = 8.0;
-/// With more white images than this the others show how straight their lines are.
+/// Fewest white images for a comparison of explanations. Only with more do the others show how straight their lines
+/// are.
 const FEWEST_TO_JUDGE: usize = 4;
-/// Radii are on straight lines if they are this part of a radius off, root mean square.
+/// Root mean square deviation of radii from straight lines, relative, up to which they are on the lines.
 const STRAIGHT: f64 = 0.01;
-/// One explanation is better than another if its lines are so many times as straight.
+/// Ratio of these deviations above which one explanation is better than another.
 const BETTER: f64 = 2.0;
 
 /// A white image whose f-number contradicts the others.
 pub(super) struct Doubt {
-    /// Its index.
+    /// Index of the white image.
     pub white: usize,
-    /// The f-number that its micro-images have the size of, by lines through the others, where these
-    /// agree without it.
+    /// F-number that matches the size of its micro-images, by lines through the other images, if these agree without
+    /// it.
     pub looks_like: Option<f64>,
-    /// What the user should know.
+    /// Finding for the user.
     pub finding: Finding,
 }
 
-/// The white image that contradicts the others, if one does. An error if the f-numbers fit in another order: micro-images
-/// are larger at a smaller one.
+/// Finds the white image that contradicts the others, if one does. Returns an error if the f-numbers fit in another
+/// order: micro-images are larger at a smaller f-number.
 pub(super) fn doubtful(
     whites: &[White],
     radii: &[RadiusMeasurement],
@@ -83,7 +83,7 @@ pub(super) fn doubtful(
 struct Lines {
     m: f64,
     q: Vec<f64>,
-    /// How far radii are off, as a part of a radius, root mean square.
+    /// Root mean square deviation of the radii, relative to their mean.
     off: f64,
 }
 
@@ -93,7 +93,7 @@ impl Lines {
     }
 }
 
-/// The sizes of the micro-images in white images; rows are in the order of the images.
+/// Sizes of the micro-images in white images; `radii` are in the order of the images.
 struct Sizes<'a> {
     whites: &'a [White],
     radii: &'a [RadiusMeasurement],
@@ -110,7 +110,7 @@ impl Sizes<'_> {
         self.of(white).iter().map(|m| m.radius_px).sum::<f64>() / self.types as f64
     }
 
-    /// Lines through all radii, but those of one image, with these f-numbers.
+    /// Fits lines to the radii of all images except one, with these f-numbers.
     fn lines(&self, f_numbers: &[f64], without: Option<usize>) -> Option<Lines> {
         let kept = (0..self.whites.len()).filter(|i| Some(*i) != without);
         let mut all: Vec<RadiusMeasurement> = kept
@@ -124,14 +124,14 @@ impl Sizes<'_> {
         Some(Lines { m: fit.parameters.m_mm, q, off: fit.rms_px / mean })
     }
 
-    /// How far the radii of an image are off, as a part of them.
+    /// Returns the mean relative deviation of the radii of an image.
     fn off(&self, white: usize, lines: &Lines) -> f64 {
         let f_number = self.whites[white].f_number;
         let off = |m: &RadiusMeasurement| m.radius_px / lines.radius(f_number, m.lens_type) - 1.0;
         self.of(white).iter().map(off).sum::<f64>() / self.types as f64
     }
 
-    /// The stated f-numbers in the order of the sizes.
+    /// Returns the stated f-numbers in the order of the sizes.
     fn by_size(&self, stated: &[f64]) -> Vec<f64> {
         let mut images: Vec<usize> = (0..stated.len()).collect();
         images.sort_by(|a, b| self.mean(*b).total_cmp(&self.mean(*a)));

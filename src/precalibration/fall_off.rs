@@ -1,8 +1,8 @@
-//! The fall-off of light with its angle, from how lopsided micro-images of white targets are.
+//! Angular response of light, from the illumination gradients of micro-images of white targets.
 //!
-//! Every micro-image of a sample of each white image gives its own g ([`super::rings`]). Pixels of all
-//! micro-images of a type have the same design, up to the grid of pixels; the plane g(c) = G (c − c₀) through
-//! all of them gives G with its σ.
+//! Every micro-image of a sample of each white image gives its own g ([`super::rings`]). The pixels of all micro-images
+//! of a type have the same design matrix, up to the grid of pixels. The plane g(c) = G (c − c₀) through all g gives G
+//! with its σ.
 
 use nalgebra::{Matrix5, SVector, Vector1, Vector2, Vector5};
 use rayon::prelude::*;
@@ -24,36 +24,36 @@ use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
 use crate::optics::Obliquity;
 use crate::quantity::Estimate;
 
-/// g follows from light up to this distance from the centre, in pitches: beyond, neighbours may begin.
+/// Distance from the centre up to which light determines g, in pitches: neighbours may begin beyond.
 const REACH: f64 = 0.46;
-/// So many micro-images of the reference give G to about a per cent.
+/// Number of micro-images of the reference: enough for G to about a per cent.
 const SAMPLE: usize = 3000;
 /// Fewest micro-images for a plane.
 const FEWEST_GRADIENTS: usize = 30;
-/// Gradients this many times further than the typical one from the plane are dust and faults.
+/// Outliers, due to dust and faults: gradients this many times further from the plane than the typical one.
 const OUTLIERS: Outliers =
     Outliers { weight: Weight::Cut, scale: Scale::PerAxis, scales: 4.0, least: 0.0, slack: 1e-12 };
 /// Rounds of the fit.
 const ROUNDS: usize = 4;
-/// A fall-off is known if its σ is below this part of that of cos⁴: corners near the border of an R12 are then
-/// right to 0.01 px.
+/// Largest σ of a known angular response, relative to cos⁴. Corners near the border of an R12 are then right to 0.01
+/// px.
 const KNOWN: f64 = 0.2;
-/// Aperture ratios of micro-lenses with gaps: the parabola in ln φ through these and that of no gaps has the tilt gradient to half a
-/// per cent at 0.8.
+/// Aperture ratios of micro-lenses with gaps. The parabola in ln φ through these and φ = 1 gives the tilt gradient at
+/// 0.8 to half a per cent.
 const OTHERWISE: [f64; 2] = [0.9, 0.7];
 
-/// The fall-off of a camera.
+/// Measured angular response of a camera.
 pub(super) struct Measured {
     pub fall_off: FallOff,
-    /// The tilt gradient of the array, where it shows.
+    /// Tilt gradient of the array, if it shows.
     pub tilt_gradient: Option<TiltGradient>,
-    /// That the fall-off was not measured.
+    /// Finding if the angular response was not measured.
     pub finding: Option<Finding>,
 }
 
-/// The light of micro-images in a sample of every white image.
+/// Light of micro-images in a sample of every white image.
 pub(super) struct Light {
-    /// By image, with its f-number, and by lens type; the reference last.
+    /// Light by image, with its f-number, and by lens type; the reference is last.
     of_images: Vec<(f64, Vec<Alike>)>,
     reach_px: f64,
     seen_pitch_px: f64,
@@ -62,7 +62,7 @@ pub(super) struct Light {
 }
 
 impl Light {
-    /// Reads the samples of all white images, and more of the reference, which has this f-number.
+    /// Reads the samples of all white images, and a larger sample of the reference, which has this f-number.
     pub fn read(found: &FoundArray, samples: &Samples, reference: (f64, &Grey)) -> Self {
         let types = samples.nodes.len();
         let pitch = found.pattern.pitch();
@@ -77,7 +77,7 @@ impl Light {
             centers.iter().map(of_type).collect()
         };
         let step = found.blobs.len().div_ceil(SAMPLE).max(1);
-        // Every third in a row would be of one lens type.
+        // Every third micro-image in a row would be of one lens type.
         let step = if step.is_multiple_of(3) { step + 1 } else { step };
         let sample: Vec<Blob> = found.blobs.iter().copied().step_by(step).collect();
         let whites = samples.whites.iter().zip(&samples.samples);
@@ -98,13 +98,14 @@ impl Light {
         }
     }
 
-    /// The mean light of each type in the reference.
+    /// Returns the mean light of each type in the reference.
     pub fn of_reference(&self) -> &[Alike] {
         self.of_images.last().map_or(&[], |(_, types)| types)
     }
 
-    /// The fall-off that the images show, or else that of cos⁴ with a warning; inside micro-images as it would be by the
-    /// same law. Light changes by what depends a little on the `law` inside micro-images, as far as it is known.
+    /// Returns the angular response that the images show, or else cos⁴ with a warning. Inside micro-images it follows
+    /// the same law. `law` is the response inside micro-images as far as it is known; it has a small effect on the
+    /// light.
     pub fn fall_off(
         &self,
         internal: &InternalParameters,
@@ -128,7 +129,7 @@ impl Light {
             "light falls off by {growth:.3} ± {std_dev:.3} of cos⁴ over the image, about {:.1?} px",
             measured.middle_px,
         );
-        // The same law inside micro-images, as if the pupil were in the lens.
+        // The same law inside micro-images, with the pupil assumed in the lens.
         let within_per_px2 = measured.growth_per_px2 * lens_to_sensor_px / mla_to_sensor_px;
         let within_std_dev_per_px2 = WITHIN * within_per_px2.abs();
         Measured {
@@ -144,8 +145,9 @@ impl Light {
         tilt_gradient(&growths, &self.middle)
     }
 
-    /// A tilt gradient with what the `law` inside micro-images takes for known: how it changes with the aperture ratio, which white
-    /// images do not show, and with H, whose σ goes into that of both axes. `None` if it does not show with either.
+    /// Completes a tilt gradient by its dependence on two quantities that its measurement assumes: the aperture ratio,
+    /// which white images do not show, and H, whose σ enters the σ of both axes. Returns `None` if no tilt gradient
+    /// shows with another value of either.
     pub fn complete(
         &self,
         tilt_gradient: TiltGradient,
@@ -158,7 +160,7 @@ impl Light {
         let than = |other: &TiltGradient| {
             [0, 1].map(|i| other.growth_per_px[i] - tilt_gradient.growth_per_px[i])
         };
-        // Over ln φ, which goes from its own to that of these.
+        // Change of the tilt gradient over the change of ln φ.
         let with_gaps = |value: f64| {
             let narrower = internal.with_aperture_ratio(Estimate::exact(value), pitch_mm);
             let by_ratio = self.tilt_gradient(&self.gradients(&narrower, options, law))?;
@@ -182,7 +184,7 @@ impl Light {
         })
     }
 
-    /// The gradients of all micro-images by image and type.
+    /// Computes the gradients of all micro-images, by image and type.
     fn gradients(
         &self,
         internal: &InternalParameters,
@@ -200,17 +202,17 @@ impl Light {
     }
 }
 
-/// G and c₀ of g = G (c − c₀) over all gradients.
+/// Fits G and c₀ of g = G (c − c₀) to all gradients.
 ///
-/// Where the array is tilted d grows across the image, and the discs with it: gradients get a part (T·c) c,
-/// whose mean is not 0. Left out, it would move c₀ by a hundred pixels on an R12 tilted by 1 mrad.
+/// If the array is tilted, d grows across the image, and the discs with it. Then gradients have a part (T·c) c, whose
+/// mean is not 0. Without this part, c₀ would move by a hundred pixels on an R12 tilted by 1 mrad.
 fn plane(gradients: &[Gradient]) -> Option<FallOff> {
     if gradients.len() < FEWEST_GRADIENTS {
         return None;
     }
     let count = gradients.len() as f64;
     let middle = gradients.iter().map(|g| g.place).sum::<Vector2<f64>>() / count;
-    // By axis, in thousands of pixels where squared.
+    // One row per axis. Squares are in thousands of px².
     let rows = |g: &Gradient| {
         let from = g.place - middle;
         let (uu, uv, vv) = (from.x * from.x / 1e3, from.x * from.y / 1e3, from.y * from.y / 1e3);
@@ -240,7 +242,7 @@ fn plane(gradients: &[Gradient]) -> Option<FallOff> {
     }
     let std_dev = (variance * information.try_inverse()?[(0, 0)]).sqrt();
     let growth = fitted[0];
-    // Without a fall-off it has no middle.
+    // Without a fall-off the middle is undefined.
     let shift = Vector2::new(fitted[1], fitted[2]);
     let off = if growth.abs() > 3.0 * std_dev { -shift / growth } else { Vector2::zeros() };
     Some(FallOff {

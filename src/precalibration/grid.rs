@@ -1,10 +1,10 @@
-//! The micro-image array as a grid, fitted to observed centres (paper, "Features extraction": pitch
-//! δc, rotation ϑ_z and offset τ).
+//! Micro-image array as a grid, fitted to observed centres (paper, "Features extraction": pitch δc, rotation ϑ_z and
+//! offset τ).
 //!
-//! The paper's grid is regular. Where an array is tilted against the sensor the pitch grows towards the
-//! side on which the micro-lenses are nearer to the main lens: the centres are a projection, to first
-//! order c = p (1 + t · p) with t = θ/(D + d) for a tilt of θ. On an R12 with 1 mrad that is 0.4 px at
-//! the border, and gives θ to a few per cent before any board is seen.
+//! The grid of the paper is regular. If the array is tilted against the sensor, the pitch grows towards the side on
+//! which the micro-lenses are nearer to the main lens. The centres are then a projection, to first order
+//! c = p (1 + t · p) with t = θ/(D + d) for a tilt of θ and the exit pupil in the lens. On an R12 with 1 mrad this is
+//! 0.4 px at the border, and gives θ to a few per cent before any board is seen.
 
 use nalgebra::{Matrix2, Matrix6, Rotation2, Vector1, Vector2, Vector6};
 use rayon::prelude::*;
@@ -13,11 +13,11 @@ use crate::error::{Error, Result};
 use crate::model::{Lattice, LatticeKind, MicroImageCenter, Packing};
 use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
 
-/// A grid of micro-image centres: c(k, l) = center + p (1 + t · p) with p = pitch · R(rotation) ·
-/// node(k, l) and the perspective t.
+/// Grid of micro-image centres: c(k, l) = center + p (1 + t · p) with p = pitch · R(rotation) · node(k, l) and the
+/// perspective t.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MicroImageArray {
-    /// Indices, packing, and which rows are shifted.
+    /// Indices, packing and shifted rows of the lattice.
     pub lattice: Lattice,
     /// Distance δc of neighbouring micro-image centres, px.
     pub pitch_px: f64,
@@ -25,8 +25,8 @@ pub struct MicroImageArray {
     pub rotation_rad: f64,
     /// Position of the middle of the lattice, px.
     pub center_px: Vector2<f64>,
-    /// Perspective t, 1/px: the relative growth of the pitch is 2 t · p along t and t · p across it.
-    /// 0 where the centres do not show any.
+    /// Perspective t, 1/px: the relative growth of the pitch is 2 t · p along t and t · p across it. 0 if the centres
+    /// do not show any.
     pub perspective_per_px: Vector2<f64>,
     /// Root mean square distance of the centres that agree with the grid, px.
     pub rms_px: f64,
@@ -35,7 +35,7 @@ pub struct MicroImageArray {
 }
 
 impl MicroImageArray {
-    /// Position of the centre of micro-image (k, l), px.
+    /// Returns the position of the centre of micro-image (k, l), px.
     #[must_use]
     pub fn center_of(&self, k: i32, l: i32) -> Vector2<f64> {
         let turn = Rotation2::new(self.rotation_rad);
@@ -43,7 +43,8 @@ impl MicroImageArray {
         self.center_px + regular * (1.0 + self.perspective_per_px.dot(&regular))
     }
 
-    /// The centres of all nodes, row by row, px: as measured, or else where the grid has them.
+    /// Returns the centres of all nodes, row by row, px: the measured centre if there is one, otherwise the centre in
+    /// the grid.
     pub(crate) fn all_centers(&self, measured: &[MicroImageCenter]) -> Vec<Vector2<f64>> {
         let lattice = &self.lattice;
         let nodes = (0..lattice.rows).flat_map(|l| (0..lattice.columns).map(move |k| (k, l)));
@@ -59,8 +60,8 @@ impl MicroImageArray {
 
 /// Fewest centres for the four parameters of the grid with redundancy.
 const MIN_CENTERS: usize = 8;
-/// Outliers of a grid. Centres scatter by their noise and by the faults of single micro-lenses, so that
-/// the limit is wide. A perfect grid has no scatter but rounding, which is below the least, px.
+/// Outliers of a grid. Centres scatter by their noise and by the faults of single micro-lenses, so the limit is wide. A
+/// perfect grid scatters only by rounding, which is below `least`, px.
 const OUTLIERS: Outliers = Outliers {
     weight: Weight::Biweight,
     scale: Scale::PerAxis,
@@ -68,21 +69,20 @@ const OUTLIERS: Outliers = Outliers {
     least: 1e-9,
     slack: 0.0,
 };
-/// Reweighted fits settle in a few rounds, to this part; so many are for stubborn data.
+/// Largest number of rounds of the reweighted fit, and its relative tolerance. A few rounds are usually enough.
 const ROUNDS: usize = 50;
 const SETTLED: f64 = 1e-13;
-/// Centres that are typically further than this part of the pitch from a lattice do not lie on it: a
-/// wrong parity alone gives about half a pitch, the centroid noise of real cameras a hundredth.
+/// Typical distance from a lattice, relative to the pitch, beyond which centres do not lie on it. A wrong parity alone
+/// gives about half a pitch, the centroid noise of real cameras a hundredth.
 const MAX_RELATIVE_SCALE: f64 = 0.15;
-/// A perspective that is fewer standard deviations from none counts as none: it would only carry the
-/// noise of the centres outwards.
+/// Least significance of a perspective, in standard deviations. Below it the perspective counts as none, since it would
+/// only carry the noise of the centres outwards.
 const SIGNIFICANT: f64 = 5.0;
 
-/// Fits the grid robustly, perspective included; which rows (columns) are shifted is found by trying
-/// both.
+/// Fits the grid robustly, with perspective. Tries both choices of the shifted rows (columns).
 ///
-/// An error if there are too few centres, if they do not span the plane, or if they do not lie on a
-/// lattice of this kind (then the kinds on which they do are named).
+/// Returns an error if there are too few centres, if they do not span the plane, or if they do not lie on a lattice of
+/// this kind. The error then names the kinds on which they do.
 pub fn fit_grid(
     centers: &[MicroImageCenter],
     kind: LatticeKind,
@@ -94,7 +94,7 @@ pub fn fit_grid(
     Ok(bent.map_or(regular, |fit| fit.grid))
 }
 
-/// Fits the grid without perspective, else like [`fit_grid`].
+/// Fits the grid without perspective, otherwise like [`fit_grid`].
 fn fit_regular_grid(
     centers: &[MicroImageCenter],
     kind: LatticeKind,
@@ -156,7 +156,7 @@ struct Fit {
     grid: MicroImageArray,
     /// Robust standard deviation per axis, px.
     scale_px: f64,
-    /// Standard deviations that the perspective is from none.
+    /// Significance of the perspective, in standard deviations.
     deviations: f64,
 }
 
@@ -166,8 +166,8 @@ impl Fit {
     }
 }
 
-/// A grid as the fit has it: center, a and b with a + ib = pitch · exp(i rotation), and the perspective
-/// s by node; c = center + (1 + s · g) A g for the node g, with A the rotation times the pitch.
+/// Parameters of the fit: center, a and b with a + ib = pitch · exp(i rotation), and the perspective s by node. The
+/// centre of node g is c = center + (1 + s · g) A g, with A the rotation times the pitch.
 #[derive(Clone, Copy)]
 struct Form(Vector6<f64>);
 
@@ -181,7 +181,7 @@ impl Form {
     }
 }
 
-/// Fits a grid, with or without perspective. `None` where it is not determined.
+/// Fits a grid, with or without perspective. Returns `None` if it is not determined.
 fn fit(centers: &[MicroImageCenter], lattice: Lattice, perspective: bool) -> Option<Fit> {
     let centers = Centers {
         nodes: centers.iter().map(|c| lattice.node(c.k, c.l)).collect(),
@@ -223,15 +223,15 @@ struct Centers {
 }
 
 impl Reweighted for Centers {
-    /// With its normal matrix.
+    /// Grid with its normal matrix.
     type Model = (Form, Matrix6<f64>);
 
     fn count(&self) -> usize {
         self.nodes.len()
     }
 
-    /// All is linear if the perspective s is multiplied by the A of the round before; in the first
-    /// round, which has none, s is left at 0.
+    /// Solves for the grid. The equations are linear if the perspective s is multiplied by A of the round before. The
+    /// first round has no A, and leaves s at 0.
     fn solve(&self, weights: &[f64], last: Option<&Self::Model>) -> Option<Self::Model> {
         let turn = last.filter(|_| self.perspective).map(|(form, _)| form.turn());
         let mut equations = NormalEquations::<f64, 6, 1>::new();
@@ -249,7 +249,7 @@ impl Reweighted for Centers {
             }
         }
         let normal = equations.normal();
-        // Nodes that are all in one place leave pitch and rotation undetermined.
+        // Nodes that are all in one place do not determine pitch and rotation.
         let spread =
             normal[(2, 2)] * normal[(0, 0)] - normal[(0, 2)].powi(2) - normal[(0, 3)].powi(2);
         if spread <= 1e-9 * normal[(0, 0)].powi(2) {
@@ -274,7 +274,7 @@ mod tests {
     use crate::model::{Noise, NoiseSource, Parity};
     use proptest::prelude::*;
 
-    /// Linear least squares on perfect data: rounding only.
+    /// Tolerance for linear least squares on perfect data: rounding only.
     const EXACT: f64 = 1e-9;
 
     fn centers_of(grid: &MicroImageArray) -> Vec<MicroImageCenter> {
@@ -320,7 +320,7 @@ mod tests {
             let shifted = if odd { Parity::Odd } else { Parity::Even };
             let truth = grid(kind, shifted, pitch, rotation);
             let mut centers = centers_of(&truth);
-            // One in ten is somewhere else altogether.
+            // One centre in ten is misplaced.
             for (i, c) in centers.iter_mut().enumerate().filter(|(i, _)| i % 10 == 3) {
                 c.u_px += 3.0 + (i % 7) as f64;
                 c.v_px -= 5.0;

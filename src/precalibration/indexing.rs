@@ -6,25 +6,25 @@ use super::pattern::Pattern;
 use crate::error::{Error, Result};
 use crate::model::{Lattice, LatticeKind, MicroImageCenter, Packing, Parity};
 
-/// How the nodes of a pattern are counted.
+/// Numbering of the nodes of a pattern.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Indexing {
-    /// See [`Pattern::index`].
+    /// Choice of the shifted rows, see [`Pattern::index`].
     later: bool,
-    /// The pattern's index of the array's first micro-image.
+    /// Index in the pattern of the first micro-image of the array.
     first: (i32, i32),
     /// Number of columns and rows.
     size: (i32, i32),
 }
 
 impl Indexing {
-    /// Index (k, l) of a node.
+    /// Returns the index (k, l) of a node.
     pub fn index(&self, pattern: &Pattern, node: (i32, i32)) -> (i32, i32) {
         let (k, l) = pattern.index(node, self.later);
         (k - self.first.0, l - self.first.1)
     }
 
-    /// A measured centre with its index.
+    /// Returns a measured centre with its index.
     pub fn center(
         &self,
         pattern: &Pattern,
@@ -36,19 +36,19 @@ impl Indexing {
         MicroImageCenter { k, l, u_px: place.x, v_px: place.y, std_dev_px }
     }
 
-    /// The lattice that is counted so.
+    /// Returns the lattice with this numbering.
     pub fn lattice(&self, kind: LatticeKind) -> Lattice {
         let row = match kind {
             LatticeKind::HexagonalColumns => self.first.0,
             _ => self.first.1,
         };
-        // The odd rows of the pattern are shifted, or with `later` the even ones.
+        // The odd rows of the pattern are shifted or, with `later`, the even rows.
         let odd = row.rem_euclid(2) == i32::from(self.later);
         let shifted = if odd { Parity::Odd } else { Parity::Even };
         Lattice { packing: Packing::new(kind, shifted), columns: self.size.0, rows: self.size.1 }
     }
 
-    /// Every way to count the nodes that show: of an array of the stated size, or else with the fewest
+    /// Returns every way to number the nodes that show: for an array of the stated size, or else with the fewest
     /// columns and rows.
     pub fn possible(
         pattern: &Pattern,
@@ -69,7 +69,7 @@ impl Indexing {
             return Ok(both.into_iter().filter(|l| l.size == fewest).collect());
         };
         let beyond = |l: &Self| (columns - l.size.0, rows - l.size.1);
-        // An array may go on beyond the sensor, about as far on either side.
+        // An array may extend beyond the sensor, about as far on either side.
         let before = |beyond: i32| beyond / 2 - 1.min(beyond / 2)..=(beyond / 2 + 1).min(beyond);
         let shifted = |l: Self| {
             let (beyond_k, beyond_l) = beyond(&l);

@@ -14,7 +14,7 @@ pub struct RadiusMeasurement {
     pub lens_type: usize,
     /// Radius ϱ, px.
     pub radius_px: f64,
-    /// Its standard deviation, px.
+    /// Standard deviation of the radius, px.
     pub std_dev_px: f64,
     /// Measured minus fitted, px.
     pub residual_px: f64,
@@ -22,7 +22,7 @@ pub struct RadiusMeasurement {
     pub single_px: Vec<f64>,
 }
 
-/// Ω with its uncertainty.
+/// Internal parameters Ω with their uncertainty.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InternalFit {
     /// The parameters, with their standard deviations.
@@ -31,8 +31,8 @@ pub struct InternalFit {
     pub rms_px: f64,
 }
 
-/// Straight lines ϱ = |m|/N + |qᵢ| with one slope for all types, by least squares; `None` if the
-/// f-numbers do not span a line. Residuals are filled in.
+/// Fits straight lines ϱ = |m|/N + |qᵢ| with one slope for all types, by least squares. Fills in the residuals. Returns
+/// `None` if the f-numbers do not span a line.
 ///
 /// With f > d (Galilean) the paper's radius is negative, ϱ = −(m/N + qᵢ), hence q'ᵢ = Δc/2 − |qᵢ|;
 /// with f < d it is positive and q'ᵢ = Δc/2 + |qᵢ|.
@@ -64,7 +64,7 @@ pub(super) fn fit_internal(
     }
     let freedom = rows.saturating_sub(types + 1);
     let sum = residuals.norm_squared();
-    // Without redundancy the fit says nothing of its errors; then the measurements' own uncertainty does.
+    // Without redundancy the residuals do not show the errors, so σ of the measurements is used.
     let own: f64 =
         measurements.iter().map(|m| m.std_dev_px.powi(2)).sum::<f64>() / rows.max(1) as f64;
     let variance = if freedom > 0 { (sum / freedom as f64).max(own) } else { own };
@@ -91,8 +91,8 @@ pub(super) fn fit_internal(
     })
 }
 
-/// The internal parameters of discs that were fitted to the light. `of_lenses_px` is how much the mean of
-/// |qᵢ| is uncertain because micro-lenses differ, by lens type. Residuals are filled in.
+/// Computes the internal parameters from fitted discs, and fills in the residuals. `of_lenses_px` is the standard
+/// deviation of the mean |qᵢ| due to differences between micro-lenses, by lens type.
 pub(super) fn internal_of_discs(
     discs: &Discs,
     of_lenses_px: &[f64],

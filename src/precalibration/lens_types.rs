@@ -1,4 +1,4 @@
-//! How many lens types there are, and whether they follow the three-colouring of the lattice.
+//! Number of lens types, and check whether they follow the three-colouring of the lattice.
 
 use rayon::prelude::*;
 
@@ -7,14 +7,14 @@ use super::nodes::ByNode;
 use super::radii::TypeRadius;
 use crate::model::LatticeKind;
 
-/// Types count as different if two of their mean radii differ by this many standard deviations and by
-/// this part of the radius.
+/// Least difference between the mean radii of two types that counts as real: in standard deviations, and relative to
+/// the radius.
 const DIFFERENT: f64 = 8.0;
 const DIFFERENT_PART: f64 = 0.005;
-/// Or by that part, if so large a part of the micro-images has the size of neighbours of its own type: by chance a third has.
-/// σ of radii has noise, and errors that all types share.
+/// Fraction of the micro-images with the size of neighbours of their own type above which the relative difference alone
+/// suffices; by chance it is a third. σ of radii contains noise, and errors that all types share.
 const AGREE: f64 = 0.8;
-/// Neighbours up to so many nodes away show the local size of a type.
+/// Distance, in nodes, up to which neighbours show the local size of a type.
 const NEAR: i32 = 3;
 
 /// Judges the sizes of the three colours in one white image, from their second moments.
@@ -39,7 +39,7 @@ pub(super) fn judge_single(found: &FoundArray) -> LensTypes {
         let apart = (of_color[a].0 - of_color[b].0).abs();
         (apart / of_color[a].1.hypot(of_color[b].1).max(1e-9), apart / of_color[a].0)
     });
-    // A second moment grows with the square of the radius.
+    // A second moment is proportional to the square of the radius.
     if !pairs.iter().any(|&(s, part)| s > DIFFERENT && part > 2.0 * DIFFERENT_PART) {
         return LensTypes::ONE;
     }
@@ -67,7 +67,7 @@ pub(super) fn judge_types(images: &[Vec<TypeRadius>], found: &FoundArray) -> Len
     if !apart {
         return LensTypes::ONE;
     }
-    // The reference image was judged already, unless its types did not show.
+    // The reference image has been judged already, unless its types did not show.
     let agreement = found.array.lens_types.agreement.unwrap_or_else(|| agreement(found));
     if !clear && agreement < AGREE {
         return LensTypes::ONE;
@@ -75,7 +75,7 @@ pub(super) fn judge_types(images: &[Vec<TypeRadius>], found: &FoundArray) -> Len
     LensTypes { types: 3, separation: Some(best), agreement: Some(agreement) }
 }
 
-/// Part of the micro-images whose size is that of their own colour.
+/// Returns the fraction of the micro-images that have the size of their own colour.
 fn agreement(found: &FoundArray) -> f64 {
     let lattice = &found.array.grid.lattice;
     let color = |node: (i32, i32)| {

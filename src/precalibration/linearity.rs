@@ -1,10 +1,9 @@
-//! Whether samples are linear in light.
+//! Check whether samples are linear in light.
 //!
-//! The light of a micro-image is the overlap of two discs, whose radii all f-numbers share. A gamma or
-//! another tone curve raises its dim part: that is the light of no discs. So the discs are fitted with a
-//! power of the samples that is free, to the first order ([`Discs::exponent`](super::discs::Discs)).
-//! Where a strong gamma leaves no discs to begin with, the samples are raised to the power that undoes
-//! the usual one, and then it is seen whether discs appear.
+//! The light of a micro-image is the overlap of two discs, whose radii all f-numbers share. A gamma or another tone
+//! curve raises its dim part, and no discs give such light. So the discs are fitted with a free power of the samples,
+//! to first order ([`Discs::exponent`](super::discs::Discs)). A strong gamma may leave no discs to begin with. Then the
+//! samples are raised to the power that undoes the usual gamma, to see whether discs appear.
 
 use tracing::debug;
 
@@ -14,17 +13,16 @@ use super::options::{PrecalibrationOptions, White};
 use crate::checks::whites::{self as checks, LINEAR};
 use crate::error::Error;
 
-/// Where the power is looked for: what undoes the gamma of pictures, a weaker one, and the
-/// opposite.
+/// Powers at which the search starts: one that undoes the gamma of pictures, a weaker one, and the opposite.
 const STARTS: [f64; 3] = [2.2, 1.5, 0.5];
-/// From each it is followed so many times.
+/// Rounds of the search from each start.
 const ROUNDS: usize = 3;
-/// Discs that appear tell their power to 0.002 to 0.007. A power makes a wide point spread sharper too, and
-/// discs of that tell theirs to 0.02 at best.
+/// Largest σ of a power that counts. Discs that appear determine their power to 0.002 to 0.007. A power also makes a
+/// wide point spread sharper; its discs determine theirs to 0.02 at best.
 const CERTAIN: f64 = 0.01;
 
-/// The power of the samples that light is, where that is not 1; 1 within what discs tell is `None`, and
-/// so are discs too small to tell.
+/// Returns the power of the samples to which light is proportional. Returns `None` if it is 1 within its tolerance, or
+/// if the discs are too small to show it.
 pub(super) fn power_of_discs(discs: &Discs) -> Option<f64> {
     discs
         .exponent
@@ -32,8 +30,7 @@ pub(super) fn power_of_discs(discs: &Discs) -> Option<f64> {
         .map(|(exponent, _)| 1.0 + exponent)
 }
 
-/// The power to which samples have to be raised for discs to appear in them; `None` if they appear with
-/// none.
+/// Finds the power of the samples with which discs appear; `None` if they appear with none.
 pub(super) fn power_for_discs(
     whites: &[White],
     reference: &White,
@@ -48,7 +45,7 @@ fn power_from(
     reference: &White,
     options: &PrecalibrationOptions,
 ) -> Option<f64> {
-    // What was stated is of the samples as they are.
+    // A stated black level is one of the unchanged samples.
     let options = PrecalibrationOptions { black_level: None, ..*options };
     let mut power = start;
     for _ in 0..ROUNDS {
@@ -69,7 +66,7 @@ fn power_from(
     None
 }
 
-/// The error instead of another one that a gamma explains.
+/// Returns an error about the gamma if there is one, otherwise the given error.
 pub(super) fn explained(error: Error, power: Option<f64>) -> Error {
     power.map_or(error, |power| Error::invalid(checks::not_linear(power).to_string()))
 }

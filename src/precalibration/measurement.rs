@@ -1,4 +1,4 @@
-//! The measurement of white images: from pixels to array, lens types, discs and internal parameters.
+//! Measurement of white images: from pixels to array, lens types, discs and internal parameters.
 
 use tracing::debug;
 
@@ -25,7 +25,7 @@ use crate::image::Grey;
 use crate::model::{FallOff, InternalParameters, SampleLevels, full_scale};
 use crate::optics::Obliquity;
 
-/// The measurement, and the discs if the light shows them.
+/// Measures the white images. Returns the discs too, if the light shows them.
 pub(super) fn measured(
     whites: &[White],
     reference: &White,
@@ -47,14 +47,14 @@ pub(super) fn measured(
         return without((doubt, f_number), whites, reference, options);
     }
 
-    // The sizes of the discs decide how far centroids are shifted, whatever estimator is asked for.
+    // The discs determine the shift of centroids, whatever the estimator.
     let seen_pitch_px = found.array.grid.pitch_px;
     let lines =
         samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?.parameters;
     let light = Light::read(&found, &samples, (reference.f_number, &grey));
     let cos4 = in_the_middle(None, &lines, seen_pitch_px, options);
     let mut first = light.fall_off(&lines, options, &cos4);
-    // Straight lines are near enough to begin with.
+    // Straight lines are accurate enough for a start.
     let of_light = samples.discs(&by_profile, &lines, first.fall_off.within_per_px2, seen_pitch_px);
     let discs = of_light.as_ref();
     take_within(&mut first.fall_off, discs);
@@ -66,7 +66,7 @@ pub(super) fn measured(
     let by_profile =
         samples.oblique(&by_profile, &internal_of(&by_profile)?.parameters, &obliquity);
     let oblique = internal_of(&by_profile)?;
-    // Again with the discs as they are.
+    // Repeated with the fitted discs.
     let Measured { mut fall_off, tilt_gradient, finding: unknown_fall_off } =
         light.fall_off(&oblique.parameters, options, &obliquity);
     take_within(&mut fall_off, discs);
@@ -78,7 +78,7 @@ pub(super) fn measured(
 
     let (by_type, discs) = match options.estimator {
         RadiusEstimator::Profile => (by_profile, discs),
-        // The paper's radii are not those of the discs.
+        // The radii of the paper are not radii of the discs.
         RadiusEstimator::Moments => (samples.radii(RadiusEstimator::Moments)?, None),
     };
     let mut radii = samples.measurements(&by_type);
@@ -89,14 +89,14 @@ pub(super) fn measured(
     });
     internal.parameters.levels = Some(levels);
     let wrong_f_number = doubt.map(|doubt| doubt.finding);
-    // Lines through a wrong f-number say nothing about the aperture of the reference.
+    // With a wrong f-number the lines cannot judge the aperture of the reference.
     let wrong_aperture =
         different_aperture((reference, &grey), &geometry, &samples, &found.pattern)
             .filter(|_| wrong_f_number.is_none());
     let by_lines = by_lines(discs, options.estimator, &mut internal.parameters);
     let oblong = oblong(&grey, &array.centers, array.grid.pitch_px);
     let types = checks::lens_types(lens_types.agreement);
-    // A wrong f-number is reason enough for there being no discs.
+    // A wrong f-number explains why there are no discs.
     let by_light = wrong_f_number.or(by_lines);
     let told = [by_light, wrong_aperture, oblong, types, unknown_fall_off, black];
     let findings = doubtful_colors(whites).into_iter().chain(told.into_iter().flatten()).collect();
@@ -106,7 +106,7 @@ pub(super) fn measured(
     Ok((measured, of_light))
 }
 
-/// The array in the image that it is measured in.
+/// Finds the array in the reference image.
 fn located(
     reference: &White,
     grey: &Grey,
@@ -125,7 +125,7 @@ fn located(
     Ok(found)
 }
 
-/// The measurement without a white image whose f-number cannot be right.
+/// Repeats the measurement without a white image whose f-number cannot be right.
 fn without(
     (doubt, f_number): (&Doubt, f64),
     whites: &[White],
@@ -134,7 +134,7 @@ fn without(
 ) -> Result<(Precalibration, Option<Discs>)> {
     let mut others = whites.to_vec();
     let doubtful = others.remove(doubt.white);
-    // The array shows in it all the same.
+    // A reference with a wrong f-number still shows the array.
     let f_number = if doubtful.name == reference.name { f_number } else { reference.f_number };
     let reference = White { f_number, ..reference.clone() };
     let (mut result, discs) = measured(&others, &reference, options, &|| ())?;
@@ -142,8 +142,8 @@ fn without(
     Ok((result, discs))
 }
 
-/// The levels of the white images, and what is doubtful about the black level; an error if they are full
-/// below a stated one.
+/// Returns the levels of the white images, and a finding if the black level is doubtful. Returns an error if images
+/// saturate below a stated black level.
 fn levels_of(
     whites: &[White],
     reference: &White,
@@ -164,8 +164,8 @@ fn levels_of(
     Ok((levels, black.finding))
 }
 
-/// A finding if m and q' are from straight lines for want of discs, and not because the paper's estimator was asked for;
-/// their standard deviations are made to know it.
+/// Returns a finding, and increases the standard deviations of m and q', if these come from straight lines for lack of
+/// discs, and not because the moments estimator was requested.
 fn by_lines(
     discs: Option<&Discs>,
     estimator: RadiusEstimator,
@@ -182,7 +182,7 @@ fn by_lines(
     Some(checks::no_discs())
 }
 
-/// H as the discs show it, if they do.
+/// Replaces H and its σ by the values of the discs, if there are any.
 fn take_within(fall_off: &mut FallOff, discs: Option<&Discs>) {
     if let Some(discs) = discs {
         debug!("{discs:?}");
@@ -190,7 +190,7 @@ fn take_within(fall_off: &mut FallOff, discs: Option<&Discs>) {
     }
 }
 
-/// The fall-off in the middle of the image, where radii are measured; that of cos⁴ if it is not known.
+/// Returns the angular response in the middle of the image, where radii are measured; cos⁴ if it is not known.
 fn in_the_middle(
     fall_off: Option<&FallOff>,
     internal: &InternalParameters,
@@ -232,7 +232,7 @@ mod tests {
         for (std_dev, q) in internal.q_prime_std_dev_mm.iter().zip(&internal.q_prime_mm) {
             assert!((std_dev / q - 0.03).abs() < 1e-4);
         }
-        // That is what was asked for.
+        // The moments estimator was requested.
         assert_eq!(of(RadiusEstimator::Moments), (None, measured.clone()));
     }
 }

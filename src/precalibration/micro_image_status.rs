@@ -1,4 +1,4 @@
-//! Which nodes of a pattern show a micro-image, and why some give no centre.
+//! Nodes of a pattern that show a micro-image, and reasons why some give no centre.
 
 use rayon::prelude::*;
 
@@ -9,16 +9,16 @@ use super::pattern::Pattern;
 use crate::image::Grey;
 use crate::numerics::median;
 
-/// Less light than this part of the neighbours' is a fault, not a lens type.
+/// Fraction of the neighbours' light below which a micro-image is faulty. Lens types differ less.
 const DARK: f64 = 0.4;
-/// Less light than this part of the usual is none: vignetting leaves more at the rim of an image.
+/// Fraction of the usual light below which a micro-image is unlit. Vignetting leaves more at the border of an image.
 const UNLIT: f64 = 0.1;
-/// Light with fewer lit neighbours than this is a reflection, not a part of the array.
+/// Fewest lit neighbours of the array. Light with fewer is a reflection.
 const FEWEST_NEIGHBOURS: usize = 2;
-/// With more than this part of its window saturated a micro-image shows no edge.
+/// Saturated fraction of its window above which a micro-image shows no edge.
 const SATURATED: f64 = 0.97;
 
-/// Why a micro-image gave no centre.
+/// Reason why a micro-image gave no centre.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum LeftOut {
     Cut,
@@ -26,16 +26,16 @@ pub(super) enum LeftOut {
     Saturated,
 }
 
-/// What an image shows of a node of its pattern.
+/// Status of a node of the pattern in an image.
 pub(super) struct MicroImageStatus {
     pub node: (i32, i32),
-    /// Why it gave no centre, if it gave none.
+    /// Reason why the node gave no centre, if it gave none.
     pub left_out: Option<LeftOut>,
-    /// Whether it shows light, with a centre or without.
+    /// True if it shows light, with a centre or without.
     pub lit: bool,
 }
 
-/// The status of the micro-images that were measured, then on the other nodes in the image.
+/// Returns the status of the micro-images that were measured, then of the other nodes in the image.
 pub(super) fn judge(image: &Grey, pattern: &Pattern, blobs: &[Blob]) -> Vec<MicroImageStatus> {
     let light: Vec<((i32, i32), f64)> = blobs.iter().map(|b| (b.node, b.light)).collect();
     let light = ByNode::new(&light);
@@ -67,7 +67,7 @@ pub(super) fn judge(image: &Grey, pattern: &Pattern, blobs: &[Blob]) -> Vec<Micr
     blobs.par_iter().map(of_blob).chain(others.par_iter().map(of_other)).collect()
 }
 
-/// The nodes that show light of the array.
+/// Returns the nodes that show light of the array.
 pub(super) fn lit_nodes(statuses: &[MicroImageStatus]) -> Vec<(i32, i32)> {
     let lit: Vec<((i32, i32), ())> =
         statuses.iter().filter(|v| v.lit).map(|v| (v.node, ())).collect();
@@ -76,8 +76,8 @@ pub(super) fn lit_nodes(statuses: &[MicroImageStatus]) -> Vec<(i32, i32)> {
     lit.iter().map(|&(node, ())| node).filter(among_others).collect()
 }
 
-/// Micro-images at least as bright hold half of all light: the many dark ones around a small array have
-/// no say in that.
+/// Returns the usual light: micro-images at least as bright hold half of all light. The many dark ones around a small
+/// array do not affect it.
 fn usual_light(blobs: &[Blob]) -> f64 {
     let mut lights: Vec<f64> = blobs.iter().map(|blob| blob.light).collect();
     lights.sort_unstable_by(|a, b| b.total_cmp(a));

@@ -1,6 +1,6 @@
-//! Values by node of a pattern, and those of neighbouring nodes.
+//! Values by node of a pattern.
 
-/// A value for some of the nodes (i, j) of a range.
+/// Values for some of the nodes (i, j) of a range.
 #[derive(Debug)]
 pub(super) struct ByNode<T> {
     low: (i32, i32),
@@ -9,7 +9,7 @@ pub(super) struct ByNode<T> {
 }
 
 impl<T: Copy> ByNode<T> {
-    /// Values by node; of several for one node the last counts.
+    /// Creates the map. If a node has several values, the last one counts.
     pub fn new(items: &[((i32, i32), T)]) -> Self {
         let nodes = || items.iter().map(|&(node, _)| node);
         let low = nodes().fold((i32::MAX, i32::MAX), |a, b| (a.0.min(b.0), a.1.min(b.1)));
@@ -31,12 +31,12 @@ impl<T: Copy> ByNode<T> {
         inside.then(|| usize::try_from(y * self.size.0 + x).ok()).flatten()
     }
 
-    /// The value of a node, if it has one.
+    /// Returns the value of a node, if it has one.
     pub fn at(&self, node: (i32, i32)) -> Option<T> {
         self.values[self.index(node)?]
     }
 
-    /// The values of the nodes up to `reach` steps away along both axes, but not of the node itself.
+    /// Returns the values of the nodes up to `reach` steps away along both axes, without the node itself.
     pub fn around(&self, node: (i32, i32), reach: i32) -> impl Iterator<Item = T> {
         (-reach..=reach)
             .flat_map(move |dj| (-reach..=reach).map(move |di| (di, dj)))

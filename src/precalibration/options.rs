@@ -1,4 +1,4 @@
-//! What the pre-calibration is given: white images, and what is stated of the camera.
+//! Input of the pre-calibration: white images, and the stated properties of the camera.
 
 use super::radii::RadiusEstimator;
 use crate::image::RawImage;
@@ -7,36 +7,36 @@ use crate::model::{Configuration, Datasheet, optics};
 /// A white image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct White {
-    /// What messages call it.
+    /// Name of the image in messages.
     pub name: String,
-    /// F-number N, as it is: √(2^AV).
+    /// F-number N, not rounded: √(2^AV).
     pub f_number: f64,
-    /// The image as the camera delivered it, linear in light.
+    /// Image as the camera delivered it, linear in light.
     pub image: RawImage,
 }
 
 /// Options of the pre-calibration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PrecalibrationOptions {
-    /// Edge of a pixel s, mm.
+    /// Edge s of a pixel, mm.
     pub pixel_size_mm: f64,
-    /// Whether f < d (Keplerian) or f > d (Galilean), which gives the radii their sign.
+    /// Configuration, f < d (Keplerian) or f > d (Galilean). It determines the sign of the radii.
     pub configuration: Configuration,
-    /// Number of columns and rows of micro-lenses, where it is stated.
+    /// Number of columns and rows of micro-lenses, if stated.
     pub array_size: Option<(i32, i32)>,
-    /// How radii are measured.
+    /// Estimator of the radii.
     pub estimator: RadiusEstimator,
-    /// Focal length F and focus distance h of the main lens as engraved, mm: they give its distance from
-    /// the array, and so the angles of the light.
+    /// Engraved focal length F and focus distance h of the main lens, mm. They give its distance from the array, and so
+    /// the angles of the light.
     pub lens_mm: (f64, f64),
-    /// Black level of the images, grey levels of the files; measured if it is not stated.
+    /// Black level of the images, in grey levels of the files; measured if `None`.
     pub black_level: Option<f64>,
-    /// The whole datasheet, where there is one: what the images contradict in it is an error.
+    /// Complete datasheet, if there is one. It is an error if the images contradict it.
     pub stated: Option<Datasheet>,
 }
 
 impl PrecalibrationOptions {
-    /// Options for a camera by its data sheet.
+    /// Creates the options for a camera from its datasheet.
     #[must_use]
     pub fn of_datasheet(sheet: &Datasheet) -> Self {
         Self {
@@ -50,7 +50,7 @@ impl PrecalibrationOptions {
         }
     }
 
-    /// D + d and d for a slope m of the radii, with the pupil in the lens, px.
+    /// Computes D + d and d for a slope m of the radii, with the pupil in the lens, px.
     pub(super) fn distances_px(&self, m_mm: f64) -> (f64, f64) {
         let (focal_length, focus_distance) = self.lens_mm;
         let (lens_to_mla, mla_to_sensor) =

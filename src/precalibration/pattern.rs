@@ -1,4 +1,4 @@
-//! Finds the pattern that micro-images make, from an image alone: packing, pitch and orientation.
+//! Search for the pattern of micro-images in an image alone: packing, pitch and orientation.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, TAU};
 
@@ -10,27 +10,27 @@ use rustfft::num_complex::Complex;
 use crate::image::Grey;
 use crate::model::{LatticeKind, ROW_DISTANCE};
 
-/// A lattice of micro-images in an image: `origin + i · along + j · across` for whole i and j.
+/// Lattice of micro-images in an image: `origin + i · along + j · across` for whole i and j.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Pattern {
     pub kind: LatticeKind,
     /// Position of one micro-image, px.
     pub origin: Vector2<f64>,
-    /// To the next one along the straight rows (columns), px.
+    /// Step to the next micro-image along the straight rows (columns), px.
     pub along: Vector2<f64>,
-    /// To the one in the next row (column), px: to the right (down) on a hexagonal lattice.
+    /// Step to a micro-image of the next row (column), px: to the right (down) on a hexagonal lattice.
     pub across: Vector2<f64>,
-    /// Part of the image's variance that the repetition explains, from 0 to 1.
+    /// Fraction of the variance of the image that the repetition explains, from 0 to 1.
     pub explained: f64,
 }
 
 impl Pattern {
-    /// Position of node (i, j).
+    /// Returns the position of node (i, j).
     pub fn place(&self, i: i32, j: i32) -> Vector2<f64> {
         self.origin + self.along * f64::from(i) + self.across * f64::from(j)
     }
 
-    /// The pattern in a part of the image whose first pixel is at `corner`.
+    /// Returns the pattern in a part of the image whose first pixel is at `corner`.
     pub fn seen_from(&self, corner: &Vector2<f64>) -> Self {
         Self { origin: self.origin - corner, ..*self }
     }
@@ -39,9 +39,9 @@ impl Pattern {
         self.basis().determinant().abs().sqrt() / cell_area(self.kind).sqrt()
     }
 
-    /// From lattice positions in pitches to px.
+    /// Returns the map from lattice positions, in pitches, to px.
     pub fn lattice_axes(&self) -> Matrix2<f64> {
-        // A pitch long, at a right angle to the rows.
+        // It is a pitch long, at a right angle to the rows.
         let across_rows = (self.across - self.along / 2.0) / ROW_DISTANCE;
         match self.kind {
             LatticeKind::Orthogonal => self.basis(),
@@ -54,8 +54,8 @@ impl Pattern {
         Matrix2::from_columns(&[self.along, self.across])
     }
 
-    /// Indices (k, l) of node (i, j), counted from an arbitrary node. On a hexagonal lattice either
-    /// every other row is half a pitch further, or the rows between are: `later` takes the second.
+    /// Returns the indices (k, l) of node (i, j), counted from an arbitrary node. On a hexagonal lattice the odd rows
+    /// are half a pitch further or, with `later`, the even rows.
     pub fn index(&self, (i, j): (i32, i32), later: bool) -> (i32, i32) {
         let half = (j + i32::from(later)).div_euclid(2);
         match self.kind {
@@ -66,7 +66,7 @@ impl Pattern {
     }
 }
 
-/// Area of a cell at a pitch of 1.
+/// Returns the area of a cell at a pitch of 1.
 fn cell_area(kind: LatticeKind) -> f64 {
     match kind {
         LatticeKind::Orthogonal => 1.0,
@@ -74,28 +74,27 @@ fn cell_area(kind: LatticeKind) -> f64 {
     }
 }
 
-/// Largest edge of the square that the spectrum is taken of, px: some nine micro-images of the
-/// largest pitch, and a hundredth of a pixel of the smallest.
+/// Largest edge of the square whose spectrum is used, px. It holds some six micro-images of the largest pitch, and
+/// gives the smallest pitch to a hundredth of a pixel.
 const LARGEST_CROP: usize = 512;
-/// Rows that one thread transforms.
+/// Number of rows that one thread transforms at once.
 const ROWS_AT_ONCE: usize = 32;
 /// Pitches that can be found, px.
 const PITCHES: std::ops::RangeInclusive<f64> = 5.0..=90.0;
-/// The strongest frequencies are those of the lattice, of its harmonics, and of the lens types.
+/// Number of frequencies that are used. The strongest ones belong to the lattice, its harmonics and the lens types.
 const PEAKS: usize = 16;
-/// Lengths of the two steps agree within this part, and their angle to within so many radians.
+/// Tolerance of a regular lattice: for the lengths of its two steps, relative, and for their angle, rad.
 const REGULAR: f64 = 0.06;
-/// Cells of a folded image along each step.
+/// Number of bins of a folded image along each step.
 const FOLD: usize = 12;
-/// One row in so many shows enough of a cell, if rows do not keep step with those of the lattice.
+/// Step of the folded rows. They show enough of a cell if they do not keep step with the rows of the lattice.
 const FOLDED_ROWS: f64 = 5.0;
-/// Lens types repeat on a lattice of three times the area, which explains more of the image. The lattice
-/// of all micro-images explains at least this part of that, and a finer one less: 0.6 where micro-images
-/// just fill their cells, which leaves the fundamental frequency dark.
+/// Least variance that the lattice of all micro-images explains, relative to the best lattice. Lens types repeat on a
+/// lattice of three times the area, which explains more of the image. A finer lattice explains less: 0.6 if
+/// micro-images just fill their cells, which leaves the fundamental frequency dark.
 const FUNDAMENTAL: f64 = 0.75;
 
-/// The pattern of the part of an image about `middle`; `None` where nothing repeats on a known
-/// lattice.
+/// Finds the pattern of the part of an image about `middle`. Returns `None` if nothing repeats on a known lattice.
 pub(super) fn find_pattern(image: &Grey, middle: (usize, usize)) -> Option<Pattern> {
     let (width, height) = image.size();
     let size = LARGEST_CROP.min(width).min(height);
@@ -126,7 +125,7 @@ pub(super) fn find_pattern(image: &Grey, middle: (usize, usize)) -> Option<Patte
         .min_by(|a, b| a.pitch().total_cmp(&b.pitch()))
 }
 
-/// A square piece of an image less its mean.
+/// Square piece of an image, less its mean.
 struct Crop {
     left: f64,
     top: f64,
@@ -136,7 +135,7 @@ struct Crop {
 }
 
 impl Crop {
-    /// `None` if the piece is of one value.
+    /// Creates a piece; `None` if all its values are equal.
     #[allow(clippy::cast_possible_truncation)] // intensities need no more than 32 bits
     fn new(image: &Grey, left: usize, top: usize, size: usize) -> Option<Self> {
         let mut values = image.part(left, top, size, size).pixels;
@@ -155,7 +154,7 @@ impl Crop {
         })
     }
 
-    /// The strongest frequencies (cycles per px) of a half plane, strongest first.
+    /// Returns the strongest frequencies (cycles per px) of a half plane, strongest first.
     fn frequencies(&self) -> Vec<Vector2<f64>> {
         let n = self.size;
         let power = self.spectrum();
@@ -165,8 +164,8 @@ impl Crop {
         for y in 0..n {
             for x in 0..=n / 2 {
                 let length = signed(x).hypot(signed(y)) / n as f64;
-                // A hexagonal lattice has frequencies of up to 2/√3 over the pitch, and the lens
-                // types 1/√3 of these.
+                // A hexagonal lattice has frequencies of up to 2/√3 over the pitch; the frequencies of its lens types
+                // are 1/√3 of these.
                 if length < 0.6 / PITCHES.end() || length > 1.2 / PITCHES.start() {
                     continue;
                 }
@@ -178,7 +177,7 @@ impl Crop {
                 let (after, below) = (at(x + 1, y), at(x, y + 1));
                 if here > before && here >= after && here > above && here >= below {
                     let shift = |low: f64, high: f64| {
-                        // Vertex of the parabola through the logarithms.
+                        // The vertex of the parabola through the logarithms.
                         let (low, mid, high) = (low.ln(), here.ln(), high.ln());
                         let bend = low - 2.0 * mid + high;
                         if bend < 0.0 { 0.5 * (low - high) / bend } else { 0.0 }
@@ -195,7 +194,7 @@ impl Crop {
         peaks.into_iter().take(PEAKS).map(|(_, place)| place).collect()
     }
 
-    /// Power spectrum under a Hann window.
+    /// Computes the power spectrum under a Hann window.
     #[allow(clippy::cast_possible_truncation)] // single precision finds peaks as well
     fn spectrum(&self) -> Vec<f32> {
         let n = self.size;
@@ -228,8 +227,8 @@ impl Crop {
         power
     }
 
-    /// A candidate with the place of its micro-images and what it explains, from the image folded
-    /// into one cell.
+    /// Folds the image into one cell of a candidate. Returns the candidate with the position of its micro-images and
+    /// the variance that it explains.
     fn folded(&self, candidate: &Pattern) -> Pattern {
         let Some(to_cell) = candidate.basis().try_inverse() else { return *candidate };
         let mut sums = [[0.0; FOLD]; FOLD];
@@ -258,7 +257,7 @@ impl Crop {
         let bins = (0..FOLD).flat_map(|y| (0..FOLD).map(move |x| (y, x)));
         let explained: f64 =
             bins.clone().map(|(y, x)| mean(y, x).powi(2) * counts[y][x]).sum::<f64>();
-        // The first circular moment of the folded cell along each step is where its light is.
+        // The first circular moment of the folded cell along each step locates its light.
         let phase = |along: fn(usize, usize) -> usize| {
             let darkest = bins.clone().map(|(y, x)| mean(y, x)).fold(f64::MAX, f64::min);
             let moment: Complex<f64> = bins
@@ -271,7 +270,7 @@ impl Crop {
             moment.arg() / TAU
         };
         let cell = Vector2::new(phase(|_, x| x), phase(|y, _| y));
-        // The node nearest to the middle of the piece.
+        // Use the node nearest to the middle of the piece.
         let middle = Vector2::repeat(self.size as f64 / 2.0);
         let steps = (to_cell * middle - cell).map(f64::round);
         Pattern {
@@ -282,16 +281,15 @@ impl Crop {
     }
 }
 
-/// The hexagonal or square lattice that has two frequencies, if there is one.
+/// Returns the hexagonal or square lattice that has two frequencies, if there is one.
 fn regular_lattice(first: &Vector2<f64>, second: &Vector2<f64>) -> Option<Pattern> {
     let frequencies = Matrix2::from_columns(&[*first, *second]);
     of_steps(&frequencies.transpose().try_inverse()?)
 }
 
-/// The hexagonal or square lattice that two steps (columns, px) make, if they make one; its origin is
-/// at (0, 0).
+/// Returns the hexagonal or square lattice that two steps (columns, px) span, if they span one. Its origin is (0, 0).
 pub(super) fn of_steps(steps: &Matrix2<f64>) -> Option<Pattern> {
-    // Gauss' reduction: the two shortest steps.
+    // Gauss' reduction gives the two shortest steps.
     let (mut a, mut b) = (steps.column(0).into_owned(), steps.column(1).into_owned());
     loop {
         if a.norm_squared() > b.norm_squared() {
@@ -299,7 +297,7 @@ pub(super) fn of_steps(steps: &Matrix2<f64>) -> Option<Pattern> {
         }
         let times = (a.dot(&b) / a.norm_squared()).round();
         let shorter = b - a * times;
-        // Steps at exactly 60 degrees are as long after a round as before it.
+        // Steps at exactly 60 degrees keep their lengths.
         let gains = shorter.norm_squared() < b.norm_squared() * (1.0 - 1e-9);
         if !gains {
             break;
@@ -326,9 +324,9 @@ fn hexagonal(a: Vector2<f64>, b: Vector2<f64>) -> Pattern {
     let c = if a.dot(&b) > 0.0 { b - a } else { b + a };
     let steps = [a, b, c, -a, -b, -c];
     let (right, down) = (nearest(&steps, &Vector2::x()), nearest(&steps, &Vector2::y()));
-    // Straight rows run along u if some step does so more than any runs along v.
+    // The straight rows run along u if a step is closer to u than any step is to v.
     if right.normalize().x > down.normalize().y {
-        // The next row, half a step to the right.
+        // The next row is half a step to the right.
         let across = nearest(&steps, &Vector2::new(0.5, ROW_DISTANCE));
         pattern(LatticeKind::HexagonalRows, right, across)
     } else {
@@ -337,7 +335,7 @@ fn hexagonal(a: Vector2<f64>, b: Vector2<f64>) -> Pattern {
     }
 }
 
-/// The step that points most towards a direction.
+/// Returns the step that points most towards a direction.
 fn nearest(steps: &[Vector2<f64>], direction: &Vector2<f64>) -> Vector2<f64> {
     let towards = |step: &Vector2<f64>| step.dot(direction);
     steps
@@ -356,8 +354,8 @@ mod tests {
     use super::*;
     use crate::image::{Color, RawImage, Samples};
 
-    /// Spots of 10 px whose rows are whole numbers of pixels apart: pixels that keep step with them would show a
-    /// lattice of a third of the area too.
+    /// Spots of 10 px whose rows are whole numbers of pixels apart. Pixels that keep step with them would also show a
+    /// lattice of a third of the area.
     #[test]
     fn rows_that_are_whole_pixels_apart_hide_no_darkness() {
         for row_px in [15.0, 20.0, 25.0] {

@@ -1,23 +1,23 @@
-//! The light across a micro-image of a white target, and the outer radius from it.
+//! Light across a micro-image of a white target, and the outer radius from it.
 //!
-//! On the sensor the main lens's pupil, seen through the middle of a micro-lens, is a disc of radius
-//! a, and the micro-lens blurs every point of it over a disc of radius b: the light of the micro-image
-//! is the overlap of these discs, flat up to |a − b| and dark from a + b on. a = |m|/N and b = |qᵢ| of
-//! Eq. (miradiusfnumber), so that the outer radius is the paper's radius of the micro-image.
+//! Seen through the middle of a micro-lens, the pupil of the main lens is a disc of radius a on the sensor. The
+//! micro-lens blurs each of its points over a disc of radius b. The light of the micro-image is the overlap of these
+//! discs: constant up to |a − b| and 0 from a + b on. a = |m|/N and b = |qᵢ| of Eq. (miradiusfnumber), so the outer
+//! radius is the micro-image radius of the paper.
 
 use nalgebra::{Matrix2, Vector1, Vector2};
 
 use crate::numerics::{Descent, LeastSquares, NormalEquations};
 use crate::optics::{RadialPixels, Seen, WhiteDiscs};
 
-/// Mean light at distances from the middle of micro-images of one type.
+/// Mean light by distance from the middle of micro-images of one type.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Profile {
-    /// The outer half of the light.
+    /// Bins of the outer half of the light.
     pub bins: Vec<Bin>,
-    /// The brighter rest, where it is not clipped.
+    /// Brighter bins that are not clipped.
     pub bright: Vec<Bin>,
-    /// Light in the middle, clipped or not, where it is known; 0 otherwise.
+    /// Light in the middle, clipped or not, if it is known; otherwise 0.
     pub middle: f64,
 }
 
@@ -30,14 +30,14 @@ pub(super) struct Bin {
     pub std_dev: f64,
 }
 
-/// The overlap of pupil and blur fitted to a profile.
+/// Overlap of pupil and blur, fitted to a profile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Edge {
-    /// a + b, px.
+    /// Outer radius a + b, px.
     pub outer: f64,
-    /// |a − b|, px.
+    /// Inner radius |a − b|, px.
     pub inner: f64,
-    /// Light in the middle, and of the background.
+    /// Light in the middle, and light of the background.
     pub amplitude: f64,
     pub background: f64,
     /// Standard deviation of `outer`, px.
@@ -46,37 +46,36 @@ pub(super) struct Edge {
 
 /// Width of the bins, px.
 pub(super) const BIN_PX: f64 = 0.125;
-/// What the overlap of two discs does not explain, oblique rays, pixels, grids: a part of the brightest light that is fitted, and
-/// one of the light in the middle. Where that is clipped, at 3.5 times full scale, |qᵢ| of simulated cameras with a point spread
-/// of 1 px is 0.04 to 0.05 px too large, 2 σ with both.
+/// Model error of the overlap of two discs (oblique rays, pixels, grids), as fractions of the brightest fitted light
+/// and of the light in the middle. If the middle is clipped, at 3.5 times full scale, |qᵢ| of simulated cameras with a
+/// point spread of 1 px is 0.04 to 0.05 px too large, 2 σ with both.
 const MODEL_ERROR: f64 = 2e-3;
 const OF_MIDDLE: f64 = 1e-3;
-/// One bin in so many shows where a descent should start.
+/// Step of the bins that select the starts of a descent.
 const COARSE: usize = 4;
-/// How radii are followed down. Gauss-Newton steps shrink fast: after one of a millionth of a pixel
-/// nothing is left to gain. Where much is clipped the valleys are long and bent, hence many small changes
-/// of the damping.
+/// Descent of the radii. Gauss-Newton steps shrink fast: after a step of a millionth of a pixel nothing is left to
+/// gain. If much is clipped, the valleys are long and bent, and need many small changes of the damping.
 const DESCENT: Descent =
     Descent { steps: 60, settled: 1e-6, unseen: 0.0, factor: 5.0, damping: (1e-9, 1e6) };
-/// Step of the numerical derivatives, px, px² or relative: light is smooth over a pixel, and rounding errors of its sums are
-/// 1e-12 of it.
+/// Step of the numerical derivatives, px, px² or relative. Light is smooth over a pixel, and the rounding errors of its
+/// sums are 1e-12 of it.
 const STEP: f64 = 1e-4;
-/// Starts that are followed down.
+/// Number of starts that are followed down.
 const DESCENTS: usize = 2;
 
-/// Light this close to the edge of a neighbour may be the neighbour's, px; with a point spread, light that is nearer by so
-/// many standard deviations of it.
+/// Distance from the edge of a neighbour towards its middle up to which its light is negligible, px. A point spread
+/// shortens this distance by this many of its standard deviations.
 const NEIGHBOUR_PX: f64 = 0.3;
 const NEIGHBOUR_SPREADS: f64 = 2.5;
 
-/// Distance from the centre up to which light is not that of neighbours, px, if the largest outer radius in the image is this and
-/// the point spread has this standard deviation.
+/// Returns the distance from the centre up to which light is not from neighbours, px. `outer_px` is the largest outer
+/// radius in the image, `spread_px` the standard deviation of the point spread.
 pub(super) fn own_light_px(pitch_px: f64, outer_px: f64, spread_px: f64) -> f64 {
     pitch_px - outer_px + NEIGHBOUR_PX - NEIGHBOUR_SPREADS * spread_px
 }
 
-/// What a profile is compared with: two discs as pixels see them, with light that falls off with the distance from the middle
-/// as it does behind others of nearly their size.
+/// Model of a profile: two discs as pixels see them. Their light falls off with the distance from the middle like the
+/// light of `fall_off`, which are discs of nearly the same size.
 struct Model<'a> {
     pixels: RadialPixels,
     fall_off: Option<&'a WhiteDiscs>,
@@ -87,7 +86,7 @@ impl Model<'_> {
         self.fall_off.map_or(1.0, |discs| discs.fall_off(distance_px))
     }
 
-    /// The light of discs with these sum and difference of radii, px.
+    /// Computes the light of two discs from the sum and the difference of their radii, px.
     fn light(&self, outer: f64, inner: f64) -> Seen {
         let discs = WhiteDiscs::plain(f64::midpoint(outer, inner), (outer - inner) / 2.0);
         let [light] = self.pixels.see(|t| [discs.light(t) * self.fall_off(t)]);
@@ -96,17 +95,17 @@ impl Model<'_> {
 }
 
 impl Profile {
-    /// Whether an edge can be fitted to it.
+    /// Returns true if an edge can be fitted to the profile.
     pub fn shows_an_edge(&self) -> bool {
         self.fit(self.furthest_px(), 0.0, None).is_some()
     }
 
-    /// Distance of the outermost light, px.
+    /// Returns the distance of the outermost light, px.
     pub fn furthest_px(&self) -> f64 {
         self.bins.last().map_or(0.0, |bin| bin.radius)
     }
 
-    /// All of the light that is not clipped, up to a distance from the centre, px, from there outwards.
+    /// Returns all light that is not clipped and nearer to the centre than `reach_px`, from the centre outwards.
     pub fn whole(&self, reach_px: f64) -> Self {
         let all = self.bright.iter().chain(&self.bins);
         let mut bins: Vec<Bin> = all.copied().filter(|bin| bin.radius < reach_px).collect();
@@ -114,13 +113,13 @@ impl Profile {
         Self { bins, bright: Vec::new(), ..self.clone() }
     }
 
-    /// The brightest light that is fitted.
+    /// Returns the brightest light that is fitted.
     fn brightest(&self) -> f64 {
         self.bins.iter().map(|bin| bin.light).fold(0.0, f64::max)
     }
 
-    /// Amplitude and background with which the light of discs comes nearest to a quantity of the bins, and the weighted
-    /// residuals of that; `None` if they are not determined.
+    /// Fits amplitude and background of the light of discs to a quantity of the bins. Returns both and the weighted
+    /// residuals; `None` if they are not determined.
     pub fn left(
         &self,
         discs: &Seen,
@@ -141,19 +140,19 @@ impl Profile {
         Some((linear, self.bins.iter().zip(&shape).map(residual).collect()))
     }
 
-    /// The same of its light.
+    /// Applies [`Profile::left`] to the light of the bins.
     pub fn residuals(&self, discs: &Seen) -> Option<(Vector2<f64>, Vec<f64>)> {
         self.left(discs, |bin| bin.light)
     }
 
-    /// Derivatives of its residuals by a quantity that the light of discs has these derivatives by; amplitude and background
-    /// follow.
+    /// Computes the derivatives of the residuals by a quantity. `by` are the derivatives of the light of the discs by
+    /// this quantity. Amplitude and background follow.
     pub fn derivative(&self, discs: &Seen, residuals: &[f64], by: &Seen) -> Option<Vec<f64>> {
         let (_, moved) = self.residuals(&discs.plus(by, STEP))?;
         Some(by_step(&moved, residuals))
     }
 
-    /// The same by the power of the samples that light is.
+    /// Computes the derivatives of the residuals by the power of the samples to which light is proportional.
     pub fn derivative_by_exponent(&self, discs: &Seen) -> Option<Vec<f64>> {
         let brightest = self.brightest().max(f64::MIN_POSITIVE);
         let raised = |bin: &Bin| {
@@ -163,8 +162,9 @@ impl Profile {
         self.left(discs, raised).map(|(_, residuals)| residuals)
     }
 
-    /// Fits the radii of two discs to the light that pixels with this point spread see, px², the outer one up to 1.4 times
-    /// `largest`, px; with the fall-off of others of nearly their size. `None` if the profile does not show an edge.
+    /// Fits the radii of two discs to the light. Pixels have this point spread, px², and the outer radius is at most
+    /// 1.4 times `largest`, px. The light falls off like `fall_off`, discs of nearly the same size. Returns `None` if
+    /// the profile does not show an edge.
     pub fn fit(
         &self,
         largest: f64,
@@ -173,8 +173,8 @@ impl Profile {
     ) -> Option<Edge> {
         let pixels = RadialPixels::new(point_spread_px2, self.furthest_px());
         let model = &Model { pixels, fall_off };
-        // Where much is clipped the sum of squares has several valleys: try starts all over first, on
-        // some of the bins.
+        // If much is clipped, the sum of squares has several valleys. So starts all over are tried first, on some of
+        // the bins.
         let bins = self.bins.iter().step_by(COARSE).copied().collect();
         let coarse = Self { bins, bright: Vec::new(), ..self.clone() };
         let mut starts: Vec<(f64, f64, f64)> = (9..=22)
@@ -195,7 +195,7 @@ impl Profile {
             .map(|(edge, _)| edge)
     }
 
-    /// The edge that a descent from one start ends at, and its sum of squares.
+    /// Returns the edge at the end of the descent from one start, and its sum of squares.
     fn descend(&self, outer: f64, inner: f64, largest: f64, model: &Model) -> Option<(Edge, f64)> {
         let mut squares = Squares { profile: self, model, largest, trial: None, taken: None };
         let start = squares.moved(&Vector2::new(outer, inner), &Vector2::zeros());
@@ -217,8 +217,7 @@ impl Profile {
     }
 }
 
-/// The sum of squares of a profile over outer and inner radius; amplitude and background are those that
-/// fit best.
+/// Sum of squares of a profile as a function of outer and inner radius. Amplitude and background are fitted.
 struct Squares<'a> {
     profile: &'a Profile,
     model: &'a Model<'a>,
@@ -227,14 +226,14 @@ struct Squares<'a> {
     taken: Option<Radii>,
 }
 
-/// A derivative by a [`STEP`].
+/// Computes a derivative from the change by a [`STEP`].
 fn by_step(moved: &[f64], at: &[f64]) -> Vec<f64> {
     moved.iter().zip(at).map(|(moved, at)| (moved - at) / STEP).collect()
 }
 
-/// What belongs to two radii.
+/// State of the fit at two radii.
 struct Radii {
-    /// Outer and inner.
+    /// Outer and inner radius.
     place: Vector2<f64>,
     /// Amplitude and background.
     linear: Vector2<f64>,
@@ -259,7 +258,7 @@ impl LeastSquares<2> for Squares<'_> {
 
     fn normal_equations(&mut self) -> Option<(Matrix2<f64>, Vector2<f64>)> {
         let Radii { place, residuals, .. } = self.taken.as_ref()?;
-        // Forwards: radii of the same size are at the end of what is possible.
+        // Forward differences, since an inner radius of 0 is a bound.
         let column = |outer: f64, inner: f64| {
             let moved = self.model.light(place.x + outer, place.y + inner);
             Some(by_step(&self.profile.residuals(&moved)?.1, residuals))
@@ -268,9 +267,8 @@ impl LeastSquares<2> for Squares<'_> {
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let mut normal = Matrix2::from_fn(|i, j| dot(&columns[i], &columns[j]));
         let mut right = -Vector2::from_fn(|i, _| dot(&columns[i], residuals));
-        // Where a step of both would take the inner radius from 0 to below, it stays and the outer one
-        // moves alone: a step that is cut at 0 need not lead down, and the descent would end short of
-        // the minimum.
+        // A step that would take the inner radius below 0 is repeated with the inner radius held: a step that is cut at
+        // 0 need not lead down, and the descent would end short of the minimum.
         let inner_step = normal[(0, 0)] * right.y - normal[(0, 1)] * right.x;
         if place.y <= 0.0 && inner_step < 0.0 {
             (normal[(0, 1)], normal[(1, 0)], right.y) = (0.0, 0.0, 0.0);
@@ -289,39 +287,39 @@ impl LeastSquares<2> for Squares<'_> {
     }
 }
 
-// How samples are collected.
+// Collection of samples.
 
-/// Fewest samples in a bin for a standard deviation worth having.
+/// Fewest samples in a bin for a useful standard deviation.
 const FEWEST: f64 = 8.0;
-/// Samples above this part of full scale may be clipped and are left out, and so are bins with more than
-/// this part of them: fewer are hot pixels.
+/// Fraction of full scale above which samples may be clipped and are left out. Bins with more than the fraction `HOT`
+/// of them are left out too; fewer are hot pixels.
 const CLIPPED: f64 = 0.97;
 const HOT: f64 = 0.01;
-/// Where noise is clipped at 0, bins with more than this part of their samples there are brighter than
-/// their light, and left out. An image with a black level has none.
+/// Fraction of the samples of a bin at 0 above which the bin is left out if noise is clipped at 0: its mean is then
+/// brighter than its light. An image with a black level has no such bins.
 const BLACK: f64 = 0.02;
-/// Rounding makes black brighter by less than this part of a grey level.
+/// Largest increase of black by rounding, in grey levels.
 const ROUNDED: f64 = 0.1;
-/// Only light up to this part of the brightest is fitted: the outer radius shows at the edge, across
-/// which the effect of oblique rays changes little.
+/// Fraction of the brightest light (of full scale if light is clipped) up to which light is fitted. The outer radius
+/// shows at the edge, across which the effect of oblique rays changes little.
 const OUTER_LIGHT: f64 = 0.5;
 
-/// Collects samples into a profile.
+/// Histogram that collects samples into a profile.
 #[derive(Debug)]
 pub(super) struct RadialHistogram {
     bins: Vec<Sums>,
-    /// The light of a sample of 0.
+    /// Light of a sample of 0.
     floor: f64,
-    /// The smallest light above it: a grey level, at most.
+    /// Smallest light above the floor: at most a grey level.
     level: f64,
 }
 
-/// Sums over the samples of a bin that are not clipped at white: their number, distances, light, its
-/// square; the number of the others; and of those that may be clipped at black.
+/// Sums over the samples of a bin that are not clipped at white: number, distances, light, squared light; then the
+/// number of clipped samples, and the number of samples that may be clipped at black.
 type Sums = [f64; 6];
 
 impl RadialHistogram {
-    /// For distances up to `reach`, px, of light that is clipped at `floor`.
+    /// Creates a histogram for distances up to `reach`, px, and light that is clipped at `floor`.
     pub fn new(reach: f64, floor: f64) -> Self {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
         let bins = (reach / BIN_PX).ceil() as usize;
@@ -349,13 +347,13 @@ impl RadialHistogram {
         }
     }
 
-    /// The profile, without what noise about black spoils unless no edge is left then.
+    /// Returns the profile without bins that noise at black spoils, unless no edge is left then.
     pub fn profile(&self) -> Profile {
         let without = self.noise_is_clipped().then(|| self.bins_with(BLACK));
         without.filter(Profile::shows_an_edge).unwrap_or_else(|| self.bins_with(1.0))
     }
 
-    /// The bins with at most this part of their samples at black.
+    /// Returns the bins with at most this fraction of their samples at black.
     fn bins_with(&self, most_black: f64) -> Profile {
         let bin = |&[count, radius, light, square, white, black]: &Sums| {
             let mean = light / count;
@@ -375,7 +373,8 @@ impl RadialHistogram {
         Profile { bins, bright, ..Profile::default() }
     }
 
-    /// Whether noise about black is clipped by enough to matter: the darkest bins are brighter than rounding makes them.
+    /// Returns true if noise at black is clipped by enough to matter: the darkest bins are brighter than rounding makes
+    /// them.
     fn noise_is_clipped(&self) -> bool {
         let filled = || self.bins.iter().filter(|bin| bin[0] >= FEWEST);
         let darkest = filled().map(|bin| bin[2] / bin[0]).fold(f64::INFINITY, f64::min);
@@ -402,7 +401,7 @@ mod tests {
         histogram.profile()
     }
 
-    /// An edge that is rounder than any overlap of discs draws the inner radius below 0.
+    /// An edge that is rounder than any overlap of discs pulls the inner radius below 0.
     #[test]
     fn descents_that_end_at_an_inner_radius_of_0_agree() {
         let mut profile = drawn(7.0, 0.0, 6.0);
@@ -421,7 +420,7 @@ mod tests {
         }
     }
 
-    /// Micro-images that touch, clipped, with a point spread of 1 px: neighbours light a third of the circle.
+    /// Clipped micro-images that touch, with a point spread of 1 px: neighbours light a third of the circle.
     #[test]
     fn light_of_neighbours_does_not_move_the_outer_radius() {
         const PITCH: f64 = 23.3;

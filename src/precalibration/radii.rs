@@ -12,14 +12,14 @@ use crate::image::Image;
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight, median};
 use crate::optics::{RadialPixels, Seen, WhiteDiscs};
 
-/// How the radius of a micro-image is measured.
+/// Estimator of the radius of a micro-image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum RadiusEstimator {
-    /// The outer edge of two overlapping discs fitted to the light.
+    /// Outer radius of two overlapping discs fitted to the light.
     #[default]
     Profile,
-    /// The paper's second moments: 2.357 times the square root of the greater one.
+    /// Second moments (the paper): 2.357 times the square root of the greater one.
     Moments,
 }
 
@@ -28,17 +28,17 @@ pub enum RadiusEstimator {
 pub(super) struct TypeRadius {
     pub radius_px: f64,
     pub std_dev_px: f64,
-    /// Standard deviation of the mean radius of micro-images that differ as these do, px.
+    /// Standard deviation of the mean radius due to differences between micro-images, px.
     pub of_lenses_px: f64,
-    /// Of single micro-images.
+    /// Radii of single micro-images, px.
     pub single_px: Vec<f64>,
-    /// Their light.
+    /// Light of the micro-images.
     pub profile: Profile,
 }
 
 impl TypeRadius {
-    /// The radius with light that falls off with its angle as it does in `discs`, by light up to `reach_px` from the centre as
-    /// pixels with a point spread see it, px²; unchanged if that shows no edge.
+    /// Returns the radius for light with the angular response of `discs`. Uses light up to `reach_px` from the centre,
+    /// as pixels with a point spread see it, px². Returns the radius unchanged if that light shows no edge.
     pub fn oblique(&self, discs: &WhiteDiscs, reach_px: f64, point_spread_px2: f64) -> Self {
         let mut again = self.clone();
         let largest = REACH * 2.0 * discs.law.half_pitch_px;
@@ -53,17 +53,17 @@ impl TypeRadius {
     }
 }
 
-/// Micro-images of each type that radii are measured on, those nearest to the middle of the image: one of so many in the image,
-/// but at least and at most this many. Enough for a hundredth of a pixel where white images are clipped, and not so far out
-/// that the main lens vignettes them.
+/// Number of micro-images of each type on which radii are measured: one of so many in the image, within these limits.
+/// The micro-images nearest to the middle are used. They suffice for a hundredth of a pixel in clipped white images,
+/// and are not so far out that the main lens vignettes them.
 const ONE_OF: usize = 40;
 const OF_EACH_TYPE: (usize, usize) = (150, 600);
-/// Light up to so far from the centre counts as the micro-image's own, in pitches.
+/// Distance from the centre up to which light counts as the micro-image's own, in pitches.
 pub(super) const REACH: f64 = 0.52;
-/// α of the paper: 2.357 standard deviations hold 98 % of a normal distribution.
+/// Factor α of the paper: 2.357 standard deviations hold 98 % of a normal distribution.
 const ALPHA: f64 = 2.357;
 
-/// Nodes in the middle of the image by colour, nearest first.
+/// Returns the nodes in the middle of the image by colour of the lattice, nearest first.
 pub(super) fn middle_nodes(
     found: &FoundArray,
     size: (usize, usize),
@@ -85,7 +85,7 @@ pub(super) fn middle_nodes(
     nodes
 }
 
-/// The radius of the micro-images at some nodes, in light that is clipped at `floor`; `None` if they
+/// Measures the radius of the micro-images at some nodes, in light that is clipped at `floor`. Returns `None` if they
 /// show no edge.
 pub(super) fn radius_at(
     (image, floor): (&Image, f64),
@@ -100,7 +100,7 @@ pub(super) fn radius_at(
     }
 }
 
-/// The light of the micro-images at some nodes.
+/// Measures the light of the micro-images at some nodes.
 pub(super) fn profile_at(
     (image, floor): (&Image, f64),
     pattern: &Pattern,
@@ -109,7 +109,7 @@ pub(super) fn profile_at(
     stacked((image, floor), pattern, nodes).1
 }
 
-/// The micro-images at some nodes, and their light.
+/// Measures the micro-images at some nodes, and their light.
 fn stacked(
     (image, floor): (&Image, f64),
     pattern: &Pattern,
@@ -175,7 +175,7 @@ fn profile_radius(
 const OUTLIERS: Outliers =
     Outliers { weight: Weight::Cut, scale: Scale::Median, scales: 6.0, least: 0.0, slack: 1e-9 };
 
-/// Mean and standard deviation without the outliers; `None` of fewer than two values.
+/// Returns mean and standard deviation without outliers; `None` for fewer than two values.
 fn mean_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
     if values.len() < 2 {
         return None;
@@ -190,7 +190,7 @@ fn mean_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
     Some((mean, variance.sqrt()))
 }
 
-/// The fitted light and its derivative by the outer radius, for one linear step for each micro-image.
+/// Fitted light and its derivative by the outer radius, for one linear step per micro-image.
 struct Template {
     edge: Edge,
     reach: f64,
@@ -208,7 +208,7 @@ impl Template {
         Self { edge: *edge, reach, shape, by_outer }
     }
 
-    /// Outer radius of one micro-image, by one step from what fits all of them.
+    /// Fits the outer radius of one micro-image by one step from the fit to all of them.
     fn single(&self, image: &Image, blob: &Blob) -> Option<f64> {
         let mut equations = NormalEquations::<f64, 5, 1>::new();
         pixels_about(image, &blob.center, self.reach, |offset, value| {

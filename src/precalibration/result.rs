@@ -1,4 +1,4 @@
-//! What the pre-calibration hands on.
+//! Result of the pre-calibration.
 
 use tracing::info;
 
@@ -9,27 +9,27 @@ use crate::error::{Error, Result};
 use crate::finding::Finding;
 use crate::model::Datasheet;
 
-/// What white images show of a camera.
+/// Measurements of a camera from white images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Precalibration {
-    /// The micro-image array, its centres corrected for the shift of centroids by oblique light.
+    /// Micro-image array, with its centres corrected for the shift of centroids by oblique light.
     pub array: ArrayMeasurement,
     /// Lens types.
     pub lens_types: LensTypes,
-    /// The white images that were measured.
+    /// Names of the white images that were measured.
     pub images: Vec<String>,
-    /// Radii of these, by lens type.
+    /// Radii of these images, by lens type.
     pub radii: Vec<RadiusMeasurement>,
     /// The internal parameters.
     pub internal: InternalFit,
-    /// Relative change of the pitch by that correction.
+    /// Relative change of the pitch by the correction of the centres.
     pub pitch_correction: f64,
-    /// What the user should know.
+    /// Findings for the user.
     pub findings: Vec<Finding>,
 }
 
 impl Precalibration {
-    /// Radii by lens type in one of the white images, px.
+    /// Returns the radii by lens type in one of the white images, px.
     ///
     /// # Panics
     /// If there were fewer white images.
@@ -58,7 +58,7 @@ impl Precalibration {
         );
     }
 
-    /// An error naming both values where the images contradict what is stated of the camera.
+    /// Returns an error that names both values if the images contradict the stated camera.
     pub fn check_stated(&self, sheet: &Datasheet) -> Result<()> {
         let grid = &self.array.grid;
         if grid.lattice.kind() != sheet.lattice_kind {
@@ -71,7 +71,7 @@ impl Precalibration {
         }
         check_stated_pitch(sheet, &self.internal.parameters, grid)?;
         let types = self.lens_types.types;
-        // Pinholes have no lens types that could show.
+        // Pinholes cannot show lens types.
         if sheet.lens_types > 0 && types != sheet.lens_types {
             return Err(Error::invalid(format!(
                 "{types} lens type(s) show in the white images, but the camera is stated to have {}: \

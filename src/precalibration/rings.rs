@@ -1,13 +1,12 @@
-//! The light of micro-images by ring about their centres, and how lopsided each of them is.
+//! Light of micro-images by ring about their centres, and the illumination gradient of each micro-image.
 //!
-//! A micro-image off the axis is brighter on one side. Its light is the mean light of all micro-images of
-//! its type at the distance r from its centre, Ī(r), times 1 − g·(y − M), where the pixel y sees the pupil
-//! through the part of the micro-lens about M. A centre that is off by δ makes it lopsided too, by −δ·Ī′ along
-//! the radius. The two differ in how they change with r, so both are fitted, and no other centre is needed:
-//! g is the same whatever window and centroid were used, whether part of the light is clipped or not.
+//! A micro-image off the axis is brighter on one side. Its light is the mean light Ī(r) of all micro-images of its
+//! type, at the distance r from its centre, times 1 − g·(y − M). The pixel y sees the pupil through the part of the
+//! micro-lens about M. An error δ of the centre adds −δ·Ī′ along the radius. The two effects depend on r in different
+//! ways, so both are fitted. Therefore g does not depend on the window, the centroid or clipping.
 //!
-//! All that is asked of a pixel depends on its ring and its direction. So the pixels of a ring come down to a
-//! few sums, and an image is read once.
+//! A pixel enters only by its ring and its direction. So the pixels of a ring reduce to a few sums, and an image is
+//! read once.
 
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector2, Vector3, Vector6};
 use rayon::prelude::*;
@@ -19,16 +18,16 @@ use crate::image::Grey;
 
 /// Width of the rings, px.
 const RING_PX: f64 = 0.25;
-/// Samples above this part of full scale may be clipped; so may the mean of a ring with more than this
-/// part of them. Fewer are hot pixels.
+/// Fraction of full scale above which samples may be clipped. The mean of a ring with more than the fraction `HOT` of
+/// them may be clipped too; fewer are hot pixels.
 const CLIPPED: f32 = 0.97;
 const HOT: f64 = 0.01;
-/// Variance of a pixel without light, over that of the brightest.
+/// Variance of a pixel without light, relative to the brightest.
 const READ_NOISE: f64 = 0.02;
-/// Fewest pixels that determine the six numbers of a micro-image.
+/// Fewest pixels for the six unknowns of a micro-image.
 const FEWEST: f64 = 30.0;
 
-/// Sums over the pixels of a ring: their number, and those of light, by direction (x, y) from the centre.
+/// Sums over the pixels of a ring: their number and light, by direction (x, y) from the centre.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sums {
     count: f64,
@@ -40,7 +39,7 @@ struct Sums {
     light_x: f64,
     light_y: f64,
     square: f64,
-    /// Light that is not clipped, and the number of pixels where it may be.
+    /// Sum of light that is not clipped, and number of pixels that may be clipped.
     unclipped: f64,
     clipped: f64,
 }
@@ -65,14 +64,14 @@ impl Sums {
         }
     }
 
-    /// Sums of products of (1, x, y).
+    /// Returns the sums of products of (1, x, y).
     fn directions(&self) -> Matrix3<f64> {
         let yy = self.count - self.xx;
         Matrix3::new(self.count, self.x, self.y, self.x, self.xx, self.xy, self.y, self.xy, yy)
     }
 }
 
-/// One micro-image by ring.
+/// Micro-image as sums by ring.
 #[derive(Debug)]
 struct MicroImage {
     center: Vector2<f64>,
@@ -100,36 +99,36 @@ impl MicroImage {
     }
 }
 
-/// Number of rings up to a distance.
+/// Returns the number of rings up to a distance.
 fn count_of(reach: f64) -> usize {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a few pixels
     let count = (reach / RING_PX).floor() as usize + 1;
     count
 }
 
-/// A ring of the mean micro-image.
+/// Ring of the mean micro-image.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Ring {
-    /// Its middle, px.
+    /// Radius of its middle, px.
     pub radius: f64,
-    /// Ī.
+    /// Mean light Ī.
     pub light: f64,
-    /// The part of Ī that is not clipped.
+    /// Part of Ī that is not clipped.
     pub unclipped: f64,
-    /// Ī′, px⁻¹.
+    /// Slope Ī′, px⁻¹.
     pub slope: f64,
-    /// Whether nothing is clipped nearby.
+    /// True if nothing is clipped nearby.
     pub whole: bool,
 }
 
-/// How lopsided a micro-image is.
+/// Illumination gradient of a micro-image.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Gradient {
     pub place: Vector2<f64>,
-    /// g, px⁻¹, and one over its variance per axis.
+    /// Gradient g, px⁻¹, and one over its variance per axis.
     pub value: Vector2<f64>,
     pub weight: f64,
-    /// By how much its discs are larger than those of the others.
+    /// Relative growth of its discs over the mean of its type.
     pub growth: Growth,
 }
 
@@ -137,12 +136,12 @@ pub(super) struct Gradient {
 #[derive(Debug)]
 pub(super) struct Alike {
     images: Vec<MicroImage>,
-    /// Their mean light.
+    /// Mean light of these micro-images.
     pub mean: Vec<Ring>,
 }
 
 impl Alike {
-    /// The light of the micro-images with these centres, up to a distance.
+    /// Reads the light of the micro-images with these centres, up to a distance.
     pub fn read(image: &Grey, centers: &[Vector2<f64>], reach: f64) -> Self {
         let images: Vec<MicroImage> =
             centers.par_iter().map(|center| MicroImage::read(image, *center, reach)).collect();
@@ -171,8 +170,8 @@ impl Alike {
         Self { images, mean }
     }
 
-    /// g and the growth of every micro-image that shows them, by its light up to a distance, where their light is that of
-    /// these discs.
+    /// Fits g and the growth of every micro-image that shows them, to its light up to a distance. `discs` are the model
+    /// of the light.
     pub fn gradients(&self, reach: f64, discs: &DiscLight) -> Vec<Gradient> {
         let brightest = self.mean.iter().map(|ring| ring.light).fold(0.0, f64::max);
         let within = |ring: &Ring| ring.whole && ring.radius < reach;
@@ -183,7 +182,7 @@ impl Alike {
                 (ring, if within(ring) { discs.with_growth(ring.radius) } else { (0.0, 0.0) })
             })
             .collect();
-        // Where the middle is clipped, its light follows from the edge.
+        // If the middle is clipped, its light follows from the edge.
         let whole = || of_rings.iter().filter(|(ring, _)| within(ring));
         let products = whole().map(|(ring, (light, _))| ring.light * light).sum::<f64>();
         let squares = whole().map(|(_, (light, _))| light * light).sum::<f64>();
@@ -193,7 +192,7 @@ impl Alike {
             let slope = -ring.slope;
             let weight = 1.0 / (ring.light + READ_NOISE * brightest);
             let growth = middle * growth;
-            // From a pixel's (1, x, y) to its light by scale, g, δ and growth.
+            // Rows: scale, g, δ and growth. Columns: 1, x and y of a pixel.
             #[rustfmt::skip]
             let columns = SMatrix::<f64, 6, 3>::new(
                 ring.light, 0.0, 0.0,
@@ -211,10 +210,10 @@ impl Alike {
     }
 }
 
-/// What the light of a ring changes with, and its weight.
+/// Derivatives of the light of a ring, and its weight.
 type Design = (SMatrix<f64, 6, 3>, f64);
 
-/// g of a micro-image; `None` if too little of its light is usable.
+/// Fits g of a micro-image; `None` if too little of its light is usable.
 fn gradient(image: &MicroImage, design: &[Option<Design>]) -> Option<Gradient> {
     let (mut normal, mut right) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
     let (mut squares, mut count) = (0.0, 0.0);

@@ -1,8 +1,8 @@
-//! Whether the pupil of the main lens is round all over the image.
+//! Check whether the pupil of the main lens is round all over the image.
 //!
-//! A micro-image is an image of the pupil. Where a second stop or the barrel cuts oblique light, the pupil is the part
-//! that two discs share, a cat's eye, and micro-images become narrower along the direction from the middle of the image
-//! than across it. The model and the detection know round pupils only.
+//! A micro-image is an image of the pupil. If a second stop or the barrel cuts oblique light, the pupil is the overlap
+//! of two discs, a cat's eye. Micro-images are then narrower along the direction from the middle of the image than
+//! across it. The model and the detection assume round pupils.
 
 use nalgebra::{Matrix2, Vector1, Vector2};
 use rayon::prelude::*;
@@ -13,16 +13,16 @@ use crate::image::{Grey, bounds};
 use crate::model::MicroImageCenter;
 use crate::numerics::NormalEquations;
 
-/// Light is read up to here from the centre, in pitches.
+/// Distance from the centre up to which light is read, in pitches.
 const REACH: f64 = 0.5;
 
-/// A finding if micro-images towards the corners are not round.
+/// Returns a finding if micro-images towards the corners are not round.
 pub(super) fn oblong(image: &Grey, centers: &[MicroImageCenter], pitch_px: f64) -> Option<Finding> {
     checks::roundness(narrower_at_corners(image, centers, pitch_px)?)
 }
 
-/// By which part of their width micro-images at the corners of the image are narrower towards its middle than across,
-/// and its standard deviation; `None` if too few are lit.
+/// Measures the fraction by which micro-images at the corners of the image are narrower towards its middle than across,
+/// and its standard deviation. Returns `None` if too few are lit.
 fn narrower_at_corners(
     image: &Grey,
     centers: &[MicroImageCenter],
@@ -36,7 +36,7 @@ fn narrower_at_corners(
         let outwards = field.try_normalize(1.0)?;
         let moments = moments(image, &place, pitch_px)?;
         let along = outwards.dot(&(moments * outwards));
-        // A width goes with the root of its mean square.
+        // A width is proportional to the root of its mean square.
         let narrower = 1.0 - (along / (moments.trace() - along)).sqrt();
         Some((field.norm_squared() / middle.norm_squared(), narrower))
     };
@@ -54,7 +54,7 @@ fn narrower_at_corners(
     Some((at_corners, (variance * sum.dot(&(inverse * sum))).sqrt()))
 }
 
-/// Second moments of the light of a micro-image about its centroid, px²; `None` if it is cut or dark.
+/// Computes the second moments of the light of a micro-image about its centroid, px²; `None` if it is cut or dark.
 fn moments(image: &Grey, center: &Vector2<f64>, pitch_px: f64) -> Option<Matrix2<f64>> {
     let reach = REACH * pitch_px;
     let size = image.size();
@@ -86,7 +86,7 @@ mod tests {
 
     const PITCH: f64 = 20.0;
 
-    /// 20 x 15 ellipses, narrower towards the middle of the image by `narrower` at the corners.
+    /// Measures 20 x 15 ellipses, which at the corners are narrower by `narrower` towards the middle of the image.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // eight bits
     fn found(narrower: f64) -> f64 {
         let (width, height) = (400, 300);
@@ -102,7 +102,7 @@ mod tests {
             let offset = Vector2::new(u as f64, v as f64) - center;
             let along = offset.dot(&outwards);
             let across = (offset - outwards * along).norm();
-            // An edge of 2 px, so that pixels show the shape.
+            // With an edge of 2 px, pixels show the shape.
             let inside = (7.0 - (along / less).hypot(across)) / 2.0 + 0.5;
             (200.0 * inside.clamp(0.0, 1.0)) as u8
         };

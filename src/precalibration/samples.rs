@@ -1,4 +1,4 @@
-//! What is measured in every white image: centres all over it, and radii in its middle.
+//! Measurements of every white image: centres all over it, and radii in its middle.
 
 use rayon::prelude::*;
 use tracing::trace;
@@ -17,8 +17,8 @@ use crate::image::{Grey, Image};
 use crate::model::{InternalParameters, LatticeKind, SampleLevels};
 use crate::optics::{Obliquity, WhiteDiscs};
 
-/// Patterns of one camera at two f-numbers agree in pitch within this part, and in place within so
-/// many pitches: oblique light changes both by less.
+/// Tolerances of the patterns of one camera at two f-numbers: of the pitch, relative, and of the position, in pitches.
+/// Oblique light changes both by less.
 const SAME_PITCH: f64 = 1e-3;
 const SAME_PLACE: f64 = 0.25;
 
@@ -26,25 +26,24 @@ const SAME_PLACE: f64 = 0.25;
 pub(super) struct Samples<'a> {
     pub whites: &'a [White],
     pub samples: Vec<Sample<'a>>,
-    /// Nodes in the middle of the images, by lens type, or by colour of the lattice while the types are
-    /// not known.
+    /// Nodes in the middle of the images, by lens type, or by colour of the lattice while the types are not known.
     pub nodes: Vec<Vec<(i32, i32)>>,
     options: &'a PrecalibrationOptions,
 }
 
-/// What is measured of one white image.
+/// Measurements of one white image.
 pub(super) struct Sample<'a> {
     pub grey: Grey<'a>,
-    /// Micro-images from all over it.
+    /// Micro-images from all over the image.
     pub blobs: Vec<Blob>,
-    /// Its middle, where radii are measured, and the pattern there.
+    /// Middle of the image, where radii are measured, and the pattern there.
     middle: Image,
     pattern: Pattern,
 }
 
 impl<'a> Samples<'a> {
-    /// Measures every white image, between these levels, where the reference has micro-images; an error
-    /// if one of them has them elsewhere.
+    /// Measures every white image, between these levels, at the micro-images of the reference. Returns an error if an
+    /// image has its micro-images elsewhere.
     pub fn measure(
         whites: &'a [White],
         (reference, levels): (&White, &SampleLevels),
@@ -62,8 +61,8 @@ impl<'a> Samples<'a> {
         Ok(Self { whites, samples, nodes, options })
     }
 
-    /// The samples by lens type, and the radii of the profiles, which are measured again where the
-    /// colours are not the lens types.
+    /// Returns the samples by lens type, and the radii of the profiles. Measures the radii again if the colours are not
+    /// the lens types.
     pub fn by_lens_type(
         mut self,
         types: usize,
@@ -77,7 +76,7 @@ impl<'a> Samples<'a> {
         Ok((self, radii))
     }
 
-    /// Radii by white image and by group of nodes.
+    /// Measures radii by white image and by group of nodes.
     pub fn radii(&self, estimator: RadiusEstimator) -> Result<Vec<Vec<TypeRadius>>> {
         let of_white = |(white, sample): (&White, &Sample<'_>)| {
             let middle = (&sample.middle, sample.grey.floor());
@@ -96,7 +95,7 @@ impl<'a> Samples<'a> {
         self.whites.par_iter().zip(&self.samples).map(of_white).collect()
     }
 
-    /// The radii once more, now that it is known how light falls off with its angle.
+    /// Measures the radii again, with the angular response.
     pub fn oblique(
         &self,
         radii: &[Vec<TypeRadius>],
@@ -122,8 +121,8 @@ impl<'a> Samples<'a> {
         self.whites.par_iter().zip(radii).map(of_white).collect()
     }
 
-    /// The discs fitted to the light of all white images, from what straight lines give for them and for H;
-    /// `None` if the light does not determine them.
+    /// Fits the discs to the light of all white images, from a start by straight lines and H. Returns `None` if the
+    /// light does not determine them.
     pub fn discs(
         &self,
         radii: &[Vec<TypeRadius>],
@@ -150,7 +149,7 @@ impl<'a> Samples<'a> {
         fit_discs(&profiles, &known)
     }
 
-    /// The radii as a list, by white image and then by lens type.
+    /// Lists the radii by white image and then by lens type.
     pub fn measurements(&self, radii: &[Vec<TypeRadius>]) -> Vec<RadiusMeasurement> {
         let of_white = |(white, radii): (&White, &Vec<TypeRadius>)| {
             let measurement = |(lens_type, r): (usize, &TypeRadius)| RadiusMeasurement {
@@ -166,7 +165,7 @@ impl<'a> Samples<'a> {
         self.whites.iter().zip(radii).flat_map(of_white).collect()
     }
 
-    /// The internal parameters from radii at several f-numbers; an error if those determine none.
+    /// Fits the internal parameters to radii at several f-numbers. Returns an error if the radii do not determine them.
     pub fn fit_internal(
         &self,
         radii: &mut [RadiusMeasurement],
@@ -190,8 +189,8 @@ impl<'a> Samples<'a> {
         Ok(fitted)
     }
 
-    /// The internal parameters by the discs, or else by straight lines through the radii of these groups of
-    /// micro-images; residuals are filled in.
+    /// Computes the internal parameters from the discs, or else from straight lines through the radii. Fills in the
+    /// residuals.
     pub fn internal(
         &self,
         discs: Option<&Discs>,
@@ -201,7 +200,7 @@ impl<'a> Samples<'a> {
     ) -> Result<InternalFit> {
         let Some(discs) = discs else { return self.fit_internal(radii, micro_image_pitch_px) };
         let PrecalibrationOptions { pixel_size_mm, configuration, .. } = *self.options;
-        // All white images show the same micro-lenses; where radii scatter least there is least noise.
+        // All white images show the same micro-lenses. The smallest scatter of radii contains the least noise.
         let of_lenses = |lens_type: usize| {
             by_type.iter().map(|radii| radii[lens_type].of_lenses_px).fold(f64::INFINITY, f64::min)
         };
@@ -210,14 +209,14 @@ impl<'a> Samples<'a> {
         Ok(internal_of_discs(discs, &of_lenses, radii, pixel_size_mm, pitch, configuration))
     }
 
-    /// The middle of an image, where radii are measured, and the pattern there.
+    /// Returns the middle of an image, where radii are measured, and the pattern there.
     pub fn middle_of(&self, grey: &Grey, pattern: &Pattern) -> (Image, Pattern) {
         middle_of(grey, pattern, &self.nodes)
     }
 }
 
-/// Measures a sample of a white image where the reference has micro-images; an error if it has them
-/// elsewhere. `nodes` are those of the middle.
+/// Measures a sample of a white image at the micro-images of the reference. `nodes` are the nodes in the middle.
+/// Returns an error if the image has its micro-images elsewhere.
 fn sample<'a>(
     (white, levels): (&'a White, &SampleLevels),
     reference: &White,
@@ -249,7 +248,7 @@ fn sample<'a>(
     Ok(Sample { grey, blobs, middle, pattern })
 }
 
-/// The part of an image that shows some nodes, and the pattern there.
+/// Returns the part of an image that shows some nodes, and the pattern there.
 fn middle_of(grey: &Grey, pattern: &Pattern, nodes: &[Vec<(i32, i32)>]) -> (Image, Pattern) {
     let places = nodes.iter().flatten().map(|&(i, j)| pattern.place(i, j));
     let (part, corner) = part_with(grey, places, 2.0 * pattern.pitch());

@@ -1,4 +1,4 @@
-//! The pre-calibration as one stage: from white images to the array and the internal parameters.
+//! Pre-calibration as one stage: from white images to the array and the internal parameters.
 
 use super::array_checks::array_findings;
 use super::checks::reference_of;
@@ -10,12 +10,13 @@ use crate::checks::whites::not_linear;
 use crate::error::Result;
 use crate::model::positive;
 
-/// Measures array and internal parameters.
+/// Measures the array and the internal parameters.
 ///
-/// The array is that of `reference`, the white image that belongs to the boards, or else of the
-/// white image with the smallest f-number. `progress` is called after every image. An error if images
-/// do not belong together, show no array, do not span a range of f-numbers, or contradict what is
-/// stated of the camera.
+/// The array is measured in `reference`, the white image that belongs to the boards, or else in the white image with
+/// the smallest f-number. `progress` is called after every image.
+///
+/// Returns an error if images do not belong together, show no array, do not span a range of f-numbers, or contradict
+/// the stated camera.
 pub fn precalibrate(
     whites: &[White],
     reference: Option<&White>,
@@ -35,7 +36,7 @@ pub fn precalibrate(
     let of_array = array_findings(&result.array, &reference.image).into_iter();
     result.findings.extend(of_array.map(|finding| finding.about_image(&reference.name)));
     if let Some(power) = power {
-        // It may be the reason for others.
+        // It comes first, since it may cause the others.
         result.findings.insert(0, not_linear(power));
     }
     result.log();

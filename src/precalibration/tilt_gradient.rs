@@ -1,46 +1,47 @@
-//! How the array is tilted against the sensor, from the discs of micro-images all over white images.
+//! Tilt of the array against the sensor, from the discs of micro-images all over white images.
 //!
-//! Both discs grow with the distance d of the array from the sensor: a and q' are d times an angle. Where the
-//! array is tilted, d grows across the image, and every micro-image tells by how much. That needs no main lens;
-//! the perspective of the centres is ∇d/(D + e_z + d), and needs to know where the exit pupil is.
+//! Both discs grow with the distance d of the array from the sensor: a and q' are d times an angle. If the array is
+//! tilted, d grows across the image, and every micro-image shows this growth. It does not depend on the main lens,
+//! whereas the perspective of the centres, ∇d/(D + e_z + d), depends on the position of the exit pupil.
 //!
-//! Vignetting by the main lens cuts discs too, but equally on both sides of the axis: the part of the growth
-//! that is even in the place is fitted along.
+//! Vignetting by the main lens cuts discs too, but equally on both sides of the axis. So a part of the growth that is
+//! even in the position is also fitted.
 
 use nalgebra::{SMatrix, SVector, Vector1, Vector2, Vector6};
 
 use crate::model::TiltGradient;
 use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
 
-/// By how much the discs of a micro-image are larger than those of its type in the mean.
+/// Relative growth of the discs of a micro-image over the mean of its type.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Growth {
-    /// Its place, px.
+    /// Position of the micro-image, px.
     pub place: Vector2<f64>,
-    /// d over its mean, less 1.
+    /// Distance d over its mean, less 1.
     pub value: f64,
-    /// One over its variance.
+    /// Weight: one over the variance of `value`.
     pub weight: f64,
 }
 
-/// How well discs of even light describe how it changes with d, relative, on simulated cameras: all groups together, and
-/// each alone. Light of the widest aperture, which has the least noise, is 3 % off where blur and pupil nearly cancel.
+/// Relative model error of the change of light with d, from simulated cameras: of all groups together, and of each
+/// group alone. The light of the widest aperture, which has the least noise, is 3 % off if blur and pupil nearly
+/// cancel.
 const MODEL: f64 = 0.01;
 const OF_GROUP: f64 = 0.02;
 /// Fewest micro-images of a type in an image.
 const FEWEST: usize = 30;
-/// Micro-images this many times further than the typical one from the surface are dust and faults.
+/// Outliers, due to dust and faults: micro-images this many times further from the surface than the typical one.
 const OUTLIERS: Outliers =
     Outliers { weight: Weight::Cut, scale: Scale::Median, scales: 5.0, least: 1e-9, slack: 0.0 };
-/// Rounds of the fit, and when it is settled, px⁻¹.
+/// Largest number of rounds of the fit, and change of its solution below which it has settled.
 const ROUNDS: usize = 6;
 const SETTLED: f64 = 1e-12;
-/// Squares of the place are taken in this unit, px, which keeps the equations in scale.
+/// Unit of positions in the fit, px, which keeps the equations in scale.
 const UNIT_PX: f64 = 1000.0;
 
-/// The tilt gradient that all groups show, each of one lens type in one white image, about `middle`; `None` without
-/// two groups that do. Groups differ by more than their noise where discs are not what they are taken for,
-/// and their scatter is in σ, with the model's error, which both axes share.
+/// Estimates the tilt gradient about `middle` from all groups, each of one lens type in one white image. Returns `None`
+/// without two groups that show it. Groups differ by more than their noise if the discs are not as modelled. σ includes
+/// their scatter and the model error, which both axes share.
 pub(super) fn tilt_gradient(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Option<TiltGradient> {
     let of_groups: Vec<(Vector2<f64>, Vector2<f64>)> =
         groups.iter().filter_map(|growths| slope(growths, middle)).collect();
@@ -71,7 +72,7 @@ pub(super) fn tilt_gradient(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Op
     Some(with_shared(&own, growth_per_px.map(|growth| MODEL * growth)))
 }
 
-/// A tilt gradient that may also be off by as much along both axes at once.
+/// Adds an error that both axes share to a tilt gradient.
 pub(super) fn with_shared(tilt_gradient: &TiltGradient, by_per_px: [f64; 2]) -> TiltGradient {
     let signed = |i: usize| {
         tilt_gradient.shared_per_px[i].hypot(by_per_px[i]).copysign(tilt_gradient.growth_per_px[i])
@@ -83,7 +84,7 @@ pub(super) fn with_shared(tilt_gradient: &TiltGradient, by_per_px: [f64; 2]) -> 
     }
 }
 
-/// The linear part of the growth over the image, and its variances.
+/// Fits the linear part of the growth over the image, and its variances.
 fn slope(growths: &[Growth], middle: &Vector2<f64>) -> Option<(Vector2<f64>, Vector2<f64>)> {
     if growths.len() < FEWEST {
         return None;
@@ -102,7 +103,7 @@ fn slope(growths: &[Growth], middle: &Vector2<f64>) -> Option<(Vector2<f64>, Vec
     ))
 }
 
-/// A surface of the second order through the growths.
+/// Surface of second order through the growths.
 struct Surface<'a> {
     growths: &'a [Growth],
     middle: Vector2<f64>,
@@ -120,7 +121,7 @@ impl Surface<'_> {
 }
 
 impl Reweighted for Surface<'_> {
-    /// With the inverse of its normal matrix.
+    /// Solution with the inverse of its normal matrix.
     type Model = (SVector<f64, 6>, SMatrix<f64, 6, 6>);
 
     fn count(&self) -> usize {
@@ -152,8 +153,8 @@ mod tests {
     const NOISE: f64 = 3e-3;
     const MIDDLE: [f64; 2] = [500.0, 400.0];
 
-    /// Micro-images all over an image, vignetted towards its border, with noise of its own; every fortieth shows
-    /// dust. `bias` is the part by which a group has the tilt gradient too large.
+    /// Creates micro-images all over an image, vignetted towards its border and with noise of their own; every fortieth
+    /// shows dust. `bias` is the relative error of the tilt gradient of the group.
     fn group(seed: u32, bias: f64) -> Vec<Growth> {
         let mut noise = seed;
         let mut error = || {
@@ -193,7 +194,7 @@ mod tests {
         let agree = found(&[group(1, 0.0), group(2, 0.0)]);
         let disagree = found(&[group(1, -0.5), group(2, 0.5)]);
         assert!(disagree.std_dev_per_px[0] > 4.0 * agree.std_dev_per_px[0], "{disagree:?}");
-        // The model is the same for both axes, however the groups differ.
+        // The model error is the same for both axes, however the groups differ.
         for (tilt_gradient, axis) in [(agree, 0), (agree, 1), (disagree, 0), (disagree, 1)] {
             let of_model = tilt_gradient.shared_per_px[axis] / tilt_gradient.growth_per_px[axis];
             assert!((of_model - MODEL).abs() < 1e-9, "{tilt_gradient:?}");

@@ -1,4 +1,4 @@
-//! The verdict on a calibration, outlying features, and the σ of points.
+//! The verdict on a calibration, outliers among the features, and the σ of points.
 
 use super::figures::OF_RESULT;
 use super::summary::summary_parts;
@@ -8,10 +8,10 @@ use crate::calibration::{Calibration, OutlyingFeature};
 use crate::finding::{Finding, Severity};
 use crate::quantity::two_digits;
 
-/// Outlying features that are named one by one.
+/// Largest number of outliers that are named one by one.
 const NAMED: usize = 5;
 
-/// The verdict with its reasons, of many the first ones: a line each.
+/// Returns the verdict with its first `most` reasons, one line each.
 pub(super) fn verdict_parts(findings: &[Finding], most: usize) -> Vec<Part> {
     let verdict = Verdict::of(findings);
     let text = match verdict {
@@ -49,7 +49,7 @@ pub(super) fn next_text(next: &NextBoard) -> String {
     )
 }
 
-/// Features far from where they are expected: how many, and the worst.
+/// Returns a text on the outliers among the features: their number, and the worst.
 #[must_use]
 pub fn outliers_text(assessment: &Assessment) -> Vec<String> {
     let outlying = &assessment.outliers.features;
@@ -68,7 +68,7 @@ pub fn outliers_text(assessment: &Assessment) -> Vec<String> {
     vec![format!("{} outlying feature(s); {which}: {}.", outlying.len(), named.join("; "))]
 }
 
-/// σ of reconstructed points by distance.
+/// Returns the table of σ of reconstructed points, by distance.
 pub(super) fn object_space_table(space: &ObjectSpace) -> Table {
     let mut table = Table::new(
         "σ of a reconstructed point against the boards, median and worst over the image: due to the calibration, and due \
@@ -93,8 +93,8 @@ pub(super) fn object_space_table(space: &ObjectSpace) -> Table {
     table
 }
 
-/// The result of a calibration on one screen: the verdict on these findings, the main parameters, errors, σ in space, what an
-/// evaluation has found, and what to do next; with the figures of [`OF_RESULT`](super::OF_RESULT).
+/// Returns the result of a calibration on one screen: the verdict from these findings, the main parameters, errors, σ in space,
+/// the results of an evaluation, and the next step; with the figures of [`OF_RESULT`](super::OF_RESULT).
 #[must_use]
 pub fn result_section(
     calibration: &Calibration,
@@ -111,5 +111,5 @@ pub fn result_section(
     Section::new("Result", parts)
 }
 
-/// Reasons of a verdict that are listed on one screen.
+/// Largest number of reasons of a verdict that are listed on one screen.
 const MOST_REASONS: usize = 5;

@@ -1,4 +1,4 @@
-//! A calibration.
+//! The report of a calibration.
 
 use std::fmt::Write as _;
 
@@ -13,7 +13,7 @@ use crate::model::{Parameter, Rmse};
 use crate::quantity::{display_unit, two_digits, with_std_dev};
 use crate::solver::{LossKind, Prior, SystematicChange};
 
-/// The result of a calibration: verdict, parameters, errors, convergence, weakest directions; and figures.
+/// Returns the result of a calibration: verdict, parameters, errors, convergence, weakest directions; and figures.
 #[must_use]
 pub fn calibration_section(
     title: &str,
@@ -97,10 +97,10 @@ fn parameters_table(calibration: &Calibration) -> Table {
     table
 }
 
-/// A parameter, its initial and optimised value, and both σ.
+/// A parameter, its initial and optimised value, and its σ with shared and with independent errors.
 type ParameterRow = ((Parameter, (f64, f64)), (Option<f64>, Option<f64>));
 
-/// The rows of a board that is not flat.
+/// Returns the rows of the shape of a board that is not flat.
 fn of_board(calibration: &Calibration) -> Vec<ParameterRow> {
     let (uncertainty, board) = (&calibration.uncertainty, &calibration.board);
     let rows = uncertainty.shape_rows(calibration.camera.lens_types());
@@ -112,7 +112,7 @@ fn of_board(calibration: &Calibration) -> Vec<ParameterRow> {
     Parameter::SHAPE.into_iter().zip(rows).zip(board.std_devs).filter_map(of).collect()
 }
 
-/// What σ rests on.
+/// Returns a text on the basis of σ.
 fn std_dev_text(calibration: &Calibration) -> String {
     let uncertainty = &calibration.uncertainty;
     if uncertainty.free_intrinsics.is_empty() {
@@ -142,7 +142,7 @@ fn std_dev_text(calibration: &Calibration) -> String {
     )
 }
 
-/// How observations count against priors.
+/// Returns a text on the weight of the observations against the priors.
 fn prior_weight_text(calibration: &Calibration) -> String {
     let weight = calibration.cost.prior_weight;
     let (changed, factor, known) = if weight < 1.0 {
@@ -232,7 +232,7 @@ pub(super) fn errors_table(calibration: &Calibration) -> Table {
     table
 }
 
-/// Priors with their residuals.
+/// Returns the table of priors with their residuals; `None` without priors.
 fn priors_table(calibration: &Calibration) -> Option<Table> {
     let mut table = Table::new(
         "Priors, results, and their residuals",
@@ -268,8 +268,8 @@ fn priors_table(calibration: &Calibration) -> Option<Table> {
 /// Parameters in the table of systematic errors, if they are free.
 const SHOWN: [&str; 6] = ["F", "D", "d", "e_z", "theta_x", "theta_y"];
 
-/// By how many of its σ each parameter changes with one σ of what was taken from the white images;
-/// `None` if nothing is known of that.
+/// Returns the table of systematic errors: the change of each parameter, in its σ, for one σ of each quantity from the white
+/// images; `None` if these changes are not known.
 fn systematic_errors_table(calibration: &Calibration) -> Option<Table> {
     let uncertainty = &calibration.uncertainty;
     let lens_types = calibration.camera.lens_types();
@@ -363,7 +363,7 @@ fn summary(calibration: &Calibration) -> String {
     text
 }
 
-/// The shape of the board: a sentence.
+/// Returns a sentence on the shape of the board.
 fn board_text(calibration: &Calibration) -> String {
     let board = &calibration.board;
     let of = |name: &str, value: &str, unit: &str| match unit {
@@ -409,7 +409,7 @@ fn board_text(calibration: &Calibration) -> String {
     }
 }
 
-/// Why a board is held to be flat, or not.
+/// Returns the reason why a board is assumed to be flat, or not.
 fn why(std_devs_from_zero: &[Option<f64>; 2]) -> String {
     let known = ["bend", "aspect"].into_iter().zip(std_devs_from_zero);
     let parts: Vec<String> = known
@@ -421,7 +421,7 @@ fn why(std_devs_from_zero: &[Option<f64>; 2]) -> String {
     format!("From 0 differ {}; more than 3 σ count.", parts.join(", "))
 }
 
-/// What was refined only to find out whether the board is flat; empty if nothing was.
+/// Returns the effort of the refinements that only tested whether the board is flat; empty if there were none.
 fn aside_text(aside: &Effort) -> String {
     match aside.iterations {
         0 => String::new(),
@@ -432,7 +432,7 @@ fn aside_text(aside: &Effort) -> String {
     }
 }
 
-/// The aperture ratio and the point spread in one sentence; `None` where blur is not used, or where neither is known of a
+/// Returns a sentence on the aperture ratio and the point spread; `None` if blur is not used, or if neither is known of a
 /// camera that was calibrated before.
 fn aperture_ratio_text(calibration: &Calibration) -> Option<String> {
     if calibration.options.mode == Mode::CornersOnly || calibration.camera.lens_types() == 0 {

@@ -1,17 +1,17 @@
-//! Two cameras compared.
+//! The report of the comparison of two cameras.
 
 use super::tree::{Cell, Column, Part, Section, Table};
 use crate::assessment::{CameraComparison, ParameterPair};
 use crate::quantity::{display_unit, fixed_signed};
 
-/// Beyond so many σ a parameter is named as different.
+/// Difference of a parameter, in σ, above which it is reported.
 const DIFFERENT: f64 = 3.0;
-/// A shift below this is smaller than what detectors see, px.
+/// RMS shift below which cameras project alike, px: smaller than the noise of detectors.
 const HARDLY_PX: f64 = 0.05;
-/// Likewise for blur radii.
+/// RMS difference of blur radii below which cameras blur alike, px.
 const HARDLY_BLURRED_PX: f64 = 0.1;
 
-/// What the comparison comes to, then the tables.
+/// Returns the conclusion of the comparison, then the tables.
 #[must_use]
 pub fn comparison_section(comparison: &CameraComparison) -> Section {
     let motion = &comparison.second_from_first;

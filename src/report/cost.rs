@@ -1,4 +1,4 @@
-//! The cost at a solution from elsewhere.
+//! The report of the cost at a solution from another solver.
 
 use super::calibration::errors_table;
 use super::tree::{Cell, Column, Part, Section, Table};
@@ -7,11 +7,11 @@ use crate::finding::{Finding, Issue};
 use crate::model::Parameter;
 use crate::quantity::{display_unit, fixed, significant};
 
-/// How far from the minimum a camera may be, in σ of independent errors along the way there, to be as good.
+/// Negligible distance from the minimum, in σ of independent errors along the way there.
 const NEGLIGIBLE: f64 = 0.01;
 
-/// Cost, gradient and residuals at a solution, and what one more step would gain. The cost has a part of the features, one of
-/// the centres, and one of the priors.
+/// Returns cost, gradient and residuals at a solution, and the gain of one more step. The cost has a part of the features, one
+/// of the centres, and one of the priors.
 #[must_use]
 pub fn cost_section(evaluated: &Calibration, [features, centers, priors]: [f64; 3]) -> Section {
     let [counted, centred] =
@@ -36,7 +36,8 @@ pub fn cost_section(evaluated: &Calibration, [features, centers, priors]: [f64; 
     Section::new("Cost", parts)
 }
 
-/// Differences from the cost of a problem. They come before the verdict, which would otherwise be read as one on the solution.
+/// Returns the differences from the cost of a problem. They precede the verdict, which would else seem to apply to the
+/// solution.
 fn other_cost(evaluated: &Calibration) -> String {
     let of_problem = |finding: &&Finding| matches!(finding.issue, Issue::OtherCost { .. });
     let found = evaluated.findings.iter().find(of_problem);
@@ -48,7 +49,7 @@ fn other_cost(evaluated: &Calibration) -> String {
     })
 }
 
-/// Whether this is a minimum.
+/// Returns a text on whether this is a minimum.
 fn verdict(evaluated: &Calibration) -> String {
     let uncertainty = &evaluated.uncertainty;
     let (gain, cost) = (uncertainty.expected_decrease, evaluated.refinement.cost);
@@ -74,7 +75,7 @@ fn verdict(evaluated: &Calibration) -> String {
     format!("{verdict} {gain}{moves}.")
 }
 
-/// n σ off the minimum adds n² s²/2 to the cost, s² being the variance of the residuals.
+/// Returns the distance n from the minimum in σ. It adds n² s²/2 to the cost, where s² is the variance of the residuals.
 fn std_devs_from_minimum(evaluated: &Calibration) -> f64 {
     let blurred = evaluated.reprojection.features.iter().filter(|f| f.drho_px.is_some()).count();
     let counts = [evaluated.reprojection.features.len(), evaluated.reprojection.centers.len()];
@@ -83,7 +84,7 @@ fn std_devs_from_minimum(evaluated: &Calibration) -> f64 {
     (2.0 * evaluated.uncertainty.expected_decrease / variance).sqrt()
 }
 
-/// What a further step would do to a parameter.
+/// The effect of one more step on a parameter.
 struct Step {
     name: &'static str,
     unit: &'static str,

@@ -1,12 +1,12 @@
-//! Detected features.
+//! The report of detected features.
 
 use super::tree::{Cell, Column, Figure, Part, Section, Table};
 use crate::detection::{DetectedBoards, DetectedFrame};
 
-/// Number of frames whose figures are shown at once; the others are shown on demand.
+/// Number of frames whose figures are shown at once. The others are shown on demand.
 const FRAMES_SHOWN: usize = 1;
 
-/// The boards of a subset: what was found and what was dropped in each frame, and figures of frames.
+/// Returns the report of the boards of a subset: found and dropped features of each frame, and figures of frames.
 #[must_use]
 pub fn detection_section(subset: &str, boards: &DetectedBoards, figures: Vec<Figure>) -> Section {
     let frames = &boards.frames;
@@ -68,7 +68,7 @@ fn frames_table(frames: &[DetectedFrame]) -> Table {
     table
 }
 
-/// The meaning of the columns.
+/// Meaning of the columns.
 const COLUMNS: &str = "\
 Corners: corner observations found in single micro-images. Board: labelled corners.
 Dropped: alone (in no cluster), off the line of their cluster, texture (a large cluster with hardly a line), off the board.

@@ -12,28 +12,28 @@ use super::tree::Figure;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Color(pub u8, pub u8, pub u8);
 
-/// Colours of the lens types, as in the paper: red, green, blue; readable on white, and told apart
-/// by the colour-blind by their lightness.
+/// Colours of the lens types, as in the paper: red, green, blue. They are readable on white, and their lightness differs for
+/// the colour-blind.
 pub(super) const TYPE_COLORS: [Color; 3] =
     [Color(200, 30, 30), Color(40, 140, 60), Color(30, 70, 200)];
 pub(super) const WHITE: Color = Color(255, 255, 255);
-/// Text and lines.
+/// Colour of text and lines.
 pub(super) const INK: Color = Color(60, 60, 60);
-/// Lines at the ticks of an axis.
+/// Colour of lines at the ticks of an axis.
 const GRID: Color = Color(222, 222, 222);
-/// Lines of a model through measurements.
+/// Colour of lines of a model through measurements.
 pub(super) const FITTED: Color = Color(190, 0, 190);
 /// Two colours that everybody can tell apart, for two quantities side by side and for the two signs.
 pub(super) const BLUE: Color = Color(0, 100, 170);
 pub(super) const ORANGE: Color = Color(200, 80, 0);
-/// Marks on a photograph.
+/// Colour of marks on a photograph.
 pub(super) const YELLOW: Color = Color(255, 210, 0);
 
 impl Color {
-    /// A bright colour of a hue in degrees.
+    /// Returns a bright colour of a hue in degrees.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to 255
     pub fn of_hue(degrees: f64) -> Self {
-        // HSL with a saturation of 0.9 and a lightness of 0.6.
+        // The colour in HSL has a saturation of 0.9 and a lightness of 0.6.
         let [red, green, blue] = [0.0, 8.0, 4.0].map(|offset: f64| {
             let k = (offset + degrees / 30.0) % 12.0;
             let part = 0.6 - 0.36 * (k - 3.0).min(9.0 - k).clamp(-1.0, 1.0);
@@ -48,7 +48,7 @@ impl Color {
     }
 }
 
-/// Text with all markup escaped, also within double quotes.
+/// Escapes all markup of a text, also within double quotes.
 pub(super) fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -66,7 +66,7 @@ pub(super) fn escaped(text: &str) -> String {
     out
 }
 
-/// Where text stands with respect to its position.
+/// Alignment of text to its position.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Anchor {
     Start,
@@ -81,7 +81,7 @@ pub(super) struct Area {
     pub size: Vector2<f64>,
 }
 
-/// Room around a chart for title, ticks and names of the axes: left, top, right, below, px.
+/// Margins of a chart for title, ticks and names of the axes: left, top, right, below, px.
 pub(super) const ROOM: [f64; 4] = [70.0, 40.0, 18.0, 50.0];
 
 impl Area {
@@ -89,7 +89,7 @@ impl Area {
         Self { corner: Vector2::new(x, y), size: Vector2::new(width, height) }
     }
 
-    /// Equal parts, row by row.
+    /// Returns equal parts, row by row.
     pub fn split(&self, rows: usize, columns: usize) -> impl Iterator<Item = Self> + use<> {
         let Self { corner, size } = *self;
         let size = size.component_div(&Vector2::new(columns as f64, rows as f64));
@@ -100,7 +100,7 @@ impl Area {
         (0..rows * columns).map(part)
     }
 
-    /// A part on the left, and the rest.
+    /// Returns a part on the left, and the rest.
     pub fn split_at(&self, left: f64) -> [Self; 2] {
         let Self { corner, size } = *self;
         [
@@ -109,7 +109,7 @@ impl Area {
         ]
     }
 
-    /// The part inside the room for title and axes.
+    /// Returns the part within the margins for title and axes.
     pub fn within_axes(&self) -> Self {
         let [left, top, right, below] = ROOM;
         Self {
@@ -119,33 +119,33 @@ impl Area {
     }
 }
 
-/// What is written at the ticks of an axis.
+/// Labels at the ticks of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Ticks {
     /// Round numbers.
     Numbers,
     /// Whole numbers.
     Whole,
-    /// Powers of ten; values on the axis are their exponents.
+    /// Powers of ten. Values on the axis are their exponents.
     Decades,
-    /// Nothing.
+    /// Empty labels.
     None,
 }
 
 /// An axis of a chart.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Axis<'a> {
-    /// Quantity and unit.
+    /// Name of the quantity, with its unit.
     pub name: &'a str,
-    /// Values at its left or lower end, and at the other.
+    /// Values at the left or lower end, and at the other end.
     pub ends: [f64; 2],
     pub ticks: Ticks,
-    /// Whether lines cross the chart at its ticks.
+    /// True if lines cross the chart at the ticks.
     pub grid: bool,
 }
 
 impl<'a> Axis<'a> {
-    /// An axis with numbers.
+    /// Creates an axis with numbers.
     pub fn new(name: &'a str, ends: [f64; 2]) -> Self {
         Self { name, ends, ticks: Ticks::Numbers, grid: false }
     }
@@ -158,7 +158,7 @@ impl<'a> Axis<'a> {
         Self { ticks, ..self }
     }
 
-    /// Values at the ticks, with their labels; `apart` is the smallest distance between two.
+    /// Returns the values at the ticks, with their labels; `apart` is the smallest distance between two.
     fn labels(&self, apart: f64) -> Vec<(f64, String)> {
         let [from, to] = self.ends;
         let (low, high) = (from.min(to), from.max(to));
@@ -174,10 +174,10 @@ impl<'a> Axis<'a> {
     }
 }
 
-/// The distance between ticks for which [`ticks`] takes a step of 1.
+/// Distance between ticks for which [`ticks`] chooses a step of 1.
 const ONE: f64 = 0.4;
 
-/// Round numbers from `low` to `high`, at least `apart` from each other, with their labels.
+/// Returns round numbers from `low` to `high`, at least `apart` from each other, with their labels.
 pub(super) fn ticks(low: f64, high: f64, apart: f64) -> Vec<(f64, String)> {
     // Consecutive round numbers differ by a factor of at most 2.5.
     let step = round_below(2.5 * apart);
@@ -188,14 +188,14 @@ pub(super) fn ticks(low: f64, high: f64, apart: f64) -> Vec<(f64, String)> {
     (0..count).map(|i| (number(i), axis_number(number(i)))).collect()
 }
 
-/// Two linear axes: from values to px of the picture.
+/// Two linear axes: a map from values to px of the picture.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Plane {
     /// Value at `origin_px`.
     pub origin: Vector2<f64>,
-    /// Its position.
+    /// Position of the origin, px.
     pub origin_px: Vector2<f64>,
-    /// Px of the picture for one unit.
+    /// Scale: px of the picture per unit.
     pub scale: Vector2<f64>,
 }
 
@@ -214,23 +214,23 @@ impl Plane {
     }
 }
 
-/// The namespace of the root of an SVG file, which an element of a page does not need.
+/// XML namespace for the root of an SVG file. An SVG element of a page does not need it.
 pub(super) const NAMESPACE: &str = " xmlns=\"http://www.w3.org/2000/svg\"";
 
 /// A picture, drawn mark by mark. Lengths are in px, x to the right, y down.
 #[derive(Debug)]
 pub(super) struct Drawing {
-    /// Width and height on the page, and its view: left, top, width, height.
+    /// Width and height on the page, and the view: left, top, width, height.
     size: Vector2<f64>,
     view: [f64; 4],
-    /// Decimals of positions.
+    /// Number of decimals of positions.
     decimals: usize,
     marks: String,
 }
 
 // Writing to a String cannot fail.
 impl Drawing {
-    /// A white page.
+    /// Creates a white page.
     pub fn new(width: f64, height: f64) -> Self {
         let size = Vector2::new(width, height);
         let view = [0.0, 0.0, width, height];
@@ -239,8 +239,8 @@ impl Drawing {
         drawing
     }
 
-    /// A photograph (left, top, width, height) to draw on; `size` is its size on the page. `jpeg_or_png` says which the
-    /// bytes are.
+    /// Creates a photograph (left, top, width, height) to draw on. `size` is its size on the page; `jpeg_or_png` is the format
+    /// of the bytes.
     pub fn on_photograph(
         size: Vector2<f64>,
         view: [f64; 4],
@@ -249,7 +249,7 @@ impl Drawing {
     ) -> Self {
         let [left, top, width, height] = view;
         let encoded = STANDARD.encode(bytes);
-        // Enlarged pixels stay visible.
+        // Enlarged pixels must remain visible.
         let rendering = if size.x > width { "pixelated" } else { "auto" };
         let marks = format!(
             "<image x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\" \
@@ -259,7 +259,7 @@ impl Drawing {
         Self { size, view, decimals: 2, marks }
     }
 
-    /// The picture as an SVG element with a description. It has no ids, so that several may stand on one page.
+    /// Returns the picture as an SVG element with a description. It has no ids, so that several may be on one page.
     pub fn finish(self, description: &str) -> String {
         let [left, top, width, height] = self.view;
         format!(
@@ -272,30 +272,30 @@ impl Drawing {
         )
     }
 
-    /// The picture as a figure with its caption; `name` is without the extension.
+    /// Returns the picture as a figure with its caption; `name` is without the extension.
     pub fn figure(self, name: &str, caption: String) -> Figure {
         let svg = self.finish(&caption);
         Figure { name: format!("{name}.svg"), caption, svg }
     }
 
-    /// A line through points.
+    /// Draws a line through points.
     pub fn line(&mut self, points: &[Vector2<f64>], color: Color, width: f64) {
         self.path(points, "", &format!("fill=\"none\" {}", stroke(color, width)));
     }
 
-    /// A dashed line through points.
+    /// Draws a dashed line through points.
     pub fn dashed(&mut self, points: &[Vector2<f64>], color: Color, width: f64) {
         let style = format!("fill=\"none\" {} stroke-dasharray=\"5 4\"", stroke(color, width));
         self.path(points, "", &style);
     }
 
-    /// A filled area without an outline.
+    /// Draws a filled area without an outline.
     pub fn area(&mut self, points: &[Vector2<f64>], color: Color, opacity: f64) {
         let fill = color.hex();
         self.path(points, "z", &format!("fill=\"{fill}\" fill-opacity=\"{opacity:.3}\""));
     }
 
-    /// Filled rectangles without outlines, each by its upper left corner and its size; no gap shows
+    /// Draws filled rectangles without outlines, each by its upper left corner and its size. No gap is visible
     /// between those that touch.
     pub fn rectangles(
         &mut self,
@@ -306,7 +306,7 @@ impl Drawing {
         let d = self.decimals;
         self.marks.push_str("<path d=\"");
         for (corner, size) in rectangles {
-            // Edges as positions, not as lengths: neighbours share them to the last digit.
+            // Edges are positions, not lengths, so that neighbours share them to the last digit.
             let (left, top, end) = (corner.x, corner.y, corner + size);
             let _ =
                 write!(self.marks, "M{left:.d$} {top:.d$}H{:.d$}V{:.d$}H{left:.d$}z", end.x, end.y);
@@ -318,7 +318,7 @@ impl Drawing {
         );
     }
 
-    /// One filled rectangle.
+    /// Draws one filled rectangle.
     pub fn rectangle(
         &mut self,
         corner: Vector2<f64>,
@@ -329,14 +329,14 @@ impl Drawing {
         self.rectangles(&[(corner, size)], color, opacity);
     }
 
-    /// Filled discs.
+    /// Draws filled discs.
     pub fn discs(&mut self, middles: &[Vector2<f64>], radius: f64, color: Color) {
         for middle in middles {
             self.circle_with(*middle, radius, &format!("fill=\"{}\"", color.hex()));
         }
     }
 
-    /// A circle.
+    /// Draws a circle.
     pub fn circle(&mut self, middle: Vector2<f64>, radius: f64, color: Color, width: f64) {
         self.circle_with(middle, radius, &format!("fill=\"none\" {}", stroke(color, width)));
     }
@@ -350,7 +350,7 @@ impl Drawing {
         );
     }
 
-    /// Arrows from a point along a vector, as one path; one too short for a head is a line or a dot.
+    /// Draws arrows from points along vectors, as one path. An arrow too short for a head is a line or a dot.
     pub fn arrows(&mut self, arrows: &[(Vector2<f64>, Vector2<f64>)], color: Color, width: f64) {
         if arrows.is_empty() {
             return;
@@ -376,12 +376,12 @@ impl Drawing {
         let _ = writeln!(self.marks, "\" fill=\"none\" {style} stroke-linecap=\"round\"/>");
     }
 
-    /// Text, vertically centred on a point.
+    /// Draws text, vertically centred on a point.
     pub fn text(&mut self, at: Vector2<f64>, anchor: Anchor, size: f64, words: &str) {
         self.colored_text(at, anchor, size, INK, words);
     }
 
-    /// Text in another colour.
+    /// Draws text in another colour.
     pub fn colored_text(
         &mut self,
         at: Vector2<f64>,
@@ -393,7 +393,7 @@ impl Drawing {
         self.words(at, anchor, size, color, words, "");
     }
 
-    /// Text that runs upwards.
+    /// Draws text that runs upwards.
     pub fn upward_text(&mut self, at: Vector2<f64>, anchor: Anchor, size: f64, words: &str) {
         let turn = format!(" transform=\"rotate(-90 {:.1} {:.1})\"", at.x, at.y);
         self.words(at, anchor, size, INK, words, &turn);
@@ -435,7 +435,7 @@ impl Drawing {
         let _ = writeln!(self.marks, "{end}\" {style}/>");
     }
 
-    /// Names with their colours, side by side, the first at a point.
+    /// Draws names with their colours, side by side, the first at a point.
     pub fn legend(&mut self, mut at: Vector2<f64>, apart: f64, names: &[(&str, Color)]) {
         for (name, color) in names {
             self.rectangle(at - Vector2::new(0.0, 6.0), Vector2::new(12.0, 12.0), *color, 1.0);
@@ -444,19 +444,19 @@ impl Drawing {
         }
     }
 
-    /// The colours of so many lens types.
+    /// Draws the legend of the colours of `types` lens types.
     pub fn type_legend(&mut self, at: Vector2<f64>, types: usize) {
         let names = ["type 1", "type 2", "type 3"].into_iter().zip(TYPE_COLORS);
         self.legend(at, 80.0, &names.take(types).collect::<Vec<_>>());
     }
 
-    /// The title of a chart, above its area.
+    /// Draws the title of a chart, above its area.
     pub fn title(&mut self, chart: &Area, words: &str) {
         let above = chart.corner - Vector2::new(0.0, ROOM[1] / 2.0);
         self.text(above, Anchor::Start, 15.0, words);
     }
 
-    /// The axes of a chart: at the left and at the lower edge of its area, with ticks, numbers and names.
+    /// Draws the axes of a chart at the left and the lower edge of its area, with ticks, numbers and names.
     pub fn axes(&mut self, chart: &Area, x: &Axis, y: &Axis) -> Plane {
         let plane = Plane::new(chart, x, y);
         let (low, high) = (chart.corner, chart.corner + chart.size);
@@ -489,13 +489,13 @@ impl Drawing {
     }
 }
 
-/// Smallest distance between ticks along both axes, and their length, px.
+/// Smallest distance between ticks along both axes, and length of ticks, px.
 const TICKS_APART: Vector2<f64> = Vector2::new(52.0, 30.0);
 const TICK: f64 = 5.0;
 
-/// Shortest arrow that has a head, px.
+/// Length of the shortest arrow with a head, px.
 const SHORTEST_WITH_HEAD: f64 = 3.0;
-/// Length of the head as a fraction of the arrow's, its limits in px, and half its width over its
+/// Length of the head as a fraction of the arrow's length, its limits in px, and half its width over its
 /// length.
 const HEAD_PART: f64 = 0.35;
 const HEAD: (f64, f64) = (2.0, 7.0);
@@ -508,7 +508,7 @@ fn stroke(color: Color, width: f64) -> String {
 /// Rounding error of a tick at 0.
 const NOTHING: f64 = 1e-12;
 
-/// A number on an axis: short, whatever its magnitude.
+/// Formats a number on an axis: short, for any magnitude.
 pub(super) fn axis_number(value: f64) -> String {
     let size = value.abs();
     if size < NOTHING {
@@ -522,15 +522,15 @@ pub(super) fn axis_number(value: f64) -> String {
     }
 }
 
-/// The largest of 1, 2 and 5 times a power of ten that is not above a value.
+/// Returns the largest of 1, 2 and 5 times a power of ten that is not above a value.
 pub(super) fn round_below(value: f64) -> f64 {
     let decade = 10_f64.powf(value.log10().floor());
-    // A value that is such a number may be off in its last digit.
+    // Such a number may be off in its last digit.
     let part = value / decade * (1.0 + 1e-9);
     decade * [10.0, 5.0, 2.0].into_iter().find(|&step| part >= step).unwrap_or(1.0)
 }
 
-/// The value below which a fraction (0 to 1) of the values lies; `None` without values. Sorts them.
+/// Returns the value below which a fraction (0 to 1) of the values lies; `None` without values. Sorts the values.
 pub(super) fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a position
@@ -579,7 +579,7 @@ mod tests {
         assert_eq!(whole.iter().map(|(at, _)| *at).collect::<Vec<_>>(), [0.0, 1.0, 2.0, 3.0]);
     }
 
-    /// v runs down the page, as in an image.
+    /// The axis v runs down the page, as in an image.
     #[test]
     fn values_at_the_ends_of_the_axes_are_at_the_corners_of_the_chart() {
         let chart = Area::new(70.0, 40.0, 200.0, 100.0);

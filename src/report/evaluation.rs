@@ -1,4 +1,4 @@
-//! An evaluation.
+//! The report of an evaluation.
 
 use super::summary::truth_text;
 use super::tree::{Cell, Column, Part, Section, Table};
@@ -10,12 +10,12 @@ use crate::finding::Finding;
 use crate::model::{Parameter, PlenopticCamera, Rmse};
 use crate::quantity::display_unit;
 
-/// What tables call the point clouds of other software.
+/// Name of the point clouds of other software in tables.
 const CLOUDS: &str = "point clouds";
 
-/// An evaluation: reprojection (Table 4), distances between corners, known displacements (Table 3), and the largest errors against
-/// the true camera; on demand these tables, single steps, all errors against the true camera and poses, and the cross-validation
-/// of the first candidate. Without parts if nothing was evaluated.
+/// Returns the report of an evaluation: reprojection (Table 4), distances between corners, known displacements (Table 3), and
+/// the largest errors against the true camera. On demand it shows `more` tables, single steps, all errors against the true
+/// camera and poses, and the cross-validation of the first candidate. It has no parts if nothing was evaluated.
 #[must_use]
 pub fn evaluation_section(
     evaluation: &Evaluation,
@@ -115,7 +115,7 @@ fn percent(part: f64) -> Cell {
     Cell::fixed(100.0 * part, 3)
 }
 
-/// Number of features, and errors of all coordinates, of u and v, and of ρ.
+/// Returns cells: number of features, and errors of all coordinates, of u and v, and of ρ.
 fn rmse_cells(rmse: &Rmse) -> [Cell; 4] {
     let rho = Cell::or_missing(rmse.rho_px, number);
     [rmse.count.into(), number(rmse.all_px), number(rmse.uv_px), rho]
@@ -176,7 +176,7 @@ fn steps_table(evaluation: &Evaluation) -> Option<Table> {
     Some(table)
 }
 
-/// Parameters against their true values.
+/// Returns the table of parameters against their true values.
 #[must_use]
 pub fn truth_table(errors: &[ParameterError], caption: &str) -> Table {
     let mut table = Table::new(
@@ -210,7 +210,7 @@ pub fn truth_table(errors: &[ParameterError], caption: &str) -> Table {
     table
 }
 
-/// Errors of poses by subset of the boards.
+/// Returns the table of errors of poses, by subset of the boards.
 fn pose_errors_table(subsets: &[(String, PoseErrors)]) -> Table {
     let mut table = Table::new(
         "Errors of the poses against the true ones, root mean square",
@@ -234,7 +234,7 @@ fn pose_errors_table(subsets: &[(String, PoseErrors)]) -> Table {
     table
 }
 
-/// Cameras side by side (paper, Table 1); the first is the one before the refinement.
+/// Returns the table of cameras side by side (paper, Table 1). The first camera is the one before the refinement.
 #[must_use]
 pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> Table {
     let first = [Column::text("Parameter"), Column::text("Unit"), Column::number("Initial")];
@@ -261,7 +261,7 @@ pub fn cameras_table(initial: &PlenopticCamera, candidates: &[Candidate]) -> Tab
     table
 }
 
-/// The folds, and the standard deviations by the jackknife beside those of the covariance.
+/// Returns the table of the folds, and the table of standard deviations from jackknife and covariance.
 fn folds_tables(folds: &CrossValidation, candidate: &Candidate) -> Vec<Table> {
     let mut of_folds = Table::new(
         "Cross-validation: frames reprojected by a camera calibrated without them",

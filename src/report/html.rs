@@ -8,7 +8,7 @@ use super::tree::{Column, Figure, Part, Report, Table};
 const STYLE: &str = include_str!("html.css");
 
 impl Report {
-    /// The report as the text of an HTML file.
+    /// Returns the report as the text of an HTML file.
     #[must_use]
     pub fn to_html(&self) -> String {
         let title = escaped(&self.title);
@@ -42,7 +42,7 @@ impl Report {
         )
     }
 
-    /// The addresses of the sections on the page; sections with one title are numbered.
+    /// Returns the addresses of the sections on the page. Sections with the same title are numbered.
     fn ids(&self) -> Vec<String> {
         let mut ids: Vec<String> = Vec::new();
         for section in &self.sections {
@@ -103,7 +103,7 @@ impl Writer {
 
     fn table(&mut self, table: &Table) {
         let caption = escaped(&table.caption);
-        // A table wider than the page scrolls; the keyboard can scroll only what has the focus.
+        // A table wider than the page scrolls; the keyboard can scroll only an element with the focus.
         self.line(&format!(
             "<div class=\"table\" role=\"region\" aria-label=\"{caption}\" tabindex=\"0\">\n<table>\n\
              <caption>{caption}</caption>\n<thead>\n<tr>"

@@ -1,4 +1,4 @@
-//! Results for people: a report as data, made from results, and shown on a terminal, as a page, or as JSON; and its figures.
+//! Results for people: a report as data, made from results, shown on a terminal, as a page, or as JSON; and its figures.
 
 mod assessment;
 mod calibration;

@@ -1,4 +1,4 @@
-//! What groups of parameters are worth.
+//! The report of the worth of groups of parameters.
 
 use super::tree::{Cell, Column, Figure, Part, Table, sentence};
 use crate::assessment::{ModelComparison, WithoutGroup};
@@ -8,7 +8,7 @@ use crate::calibration::Calibration;
 pub const MODELS: &str = "What each group of parameters is worth: the calibration without it, and how much \
      larger the squared error of frames then is that took no part";
 
-/// The table of models, with what follows from it; `figures` are those of `model_figures`, or none.
+/// Returns the table of models, with its conclusions. `figures` come from `model_figures`, or are empty.
 #[must_use]
 pub fn models_parts(
     calibration: &Calibration,
@@ -89,7 +89,7 @@ fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Str
     sentences
 }
 
-/// For a focal length that depends on what the frames do not decide.
+/// Returns a text on a focal length that depends on a group that the frames do not determine.
 fn unasked_text(calibration: &Calibration, without: &WithoutGroup) -> String {
     let (longer, std_devs) = without.focal_length_change;
     format!(

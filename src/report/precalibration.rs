@@ -1,11 +1,11 @@
-//! A pre-calibration.
+//! The report of a pre-calibration.
 
 use super::tree::{Cell, Column, Figure, Part, Section, Table};
 use crate::model::full_scale;
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
 use crate::quantity::{fixed_signed, significant};
 
-/// Array, lens types, radii, internal parameters, and figures.
+/// Returns array, lens types, radii, internal parameters, and figures.
 #[must_use]
 pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> Section {
     let mut parts: Vec<Part> = Part::paragraphs(&array_text(&result.array)).collect();
@@ -24,7 +24,7 @@ pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> 
     }
 }
 
-/// Black level and saturation level in a line, unless samples go from 0 to full scale.
+/// Returns black level and saturation level in a line; `None` if samples go from 0 to full scale.
 fn levels_text(result: &Precalibration) -> Option<String> {
     let levels = result.internal.parameters.levels?;
     let black = (levels.black_level > 0.0).then(|| match levels.black_level_std_dev {
@@ -40,7 +40,7 @@ fn levels_text(result: &Precalibration) -> Option<String> {
     (!parts.is_empty()).then(|| parts.join(" "))
 }
 
-/// Lens types on a terminal.
+/// Returns a text on the lens types.
 #[must_use]
 pub fn types_text(types: &LensTypes) -> String {
     if types.types == 1 {
@@ -54,7 +54,7 @@ pub fn types_text(types: &LensTypes) -> String {
     format!("{} lens types{apart}{agree}.", types.types)
 }
 
-/// The array on a terminal.
+/// Returns a text on the array.
 #[must_use]
 pub fn array_text(array: &ArrayMeasurement) -> String {
     let (grid, out) = (&array.grid, &array.left_out);

@@ -6,14 +6,14 @@ use crate::calibration::Calibration;
 use crate::model::{Parameter, Rmse};
 use crate::quantity::{display_unit, fixed, fixed_signed};
 
-/// Parameters that are shown, in this order with the focal lengths of the lens types after the third.
+/// Parameters that are shown, in this order, with the focal lengths of the lens types after the third.
 const SHOWN: [&str; 4] = ["F", "D", "d", "e_z"];
 const TILT: [&str; 2] = ["theta_x", "theta_y"];
 /// Number of distances at which σ in space is shown.
 const DISTANCES: usize = 3;
 
-/// The main parameters, the errors, σ in space, and what an evaluation has found; with the figures of the scene and of σ in space
-/// beside what they show.
+/// Returns the main parameters, the errors, σ in space, and the results of an evaluation; with the figures of the scene and of
+/// σ in space.
 pub(super) fn summary_parts(
     calibration: &Calibration,
     assessment: &Assessment,
@@ -55,7 +55,7 @@ fn rmse_text(rmse: &Rmse) -> String {
     format!("(u, v) {} px{rho}; {} features", fixed(rmse.uv_px, 4), rmse.count)
 }
 
-/// The shown parameters with σ; `None` if all are fixed.
+/// Returns the table of the shown parameters with σ; `None` if all are fixed.
 fn main_parameters(calibration: &Calibration) -> Option<Table> {
     if calibration.uncertainty.free_intrinsics.is_empty() {
         return None;
@@ -101,7 +101,7 @@ fn row(name: &str, unit: &'static str, value: f64, std_dev: Option<f64>) -> [Cel
     [name.into(), Cell::value(value * factor, scaled), deviation, unit.into()]
 }
 
-/// The angle between array and sensor, √(θx² + θy²); `None` if it is held.
+/// Returns the angle between array and sensor, √(θx² + θy²); `None` if it is fixed.
 fn tilt(calibration: &Calibration) -> Option<[Cell; 4]> {
     let uncertainty = &calibration.uncertainty;
     let parameters = Parameter::shared(calibration.camera.lens_types());
@@ -120,7 +120,7 @@ fn tilt(calibration: &Calibration) -> Option<[Cell; 4]> {
     Some(row)
 }
 
-/// σ of points at the nearest, a middle and the furthest distance of the boards.
+/// Returns the table of σ of points at the nearest, a middle and the furthest distance of the boards.
 fn space_table(distances: &[Distance]) -> Table {
     let within: Vec<&Distance> = distances.iter().filter(|d| d.within_boards).collect();
     let mut table = Table::new(
@@ -145,7 +145,7 @@ fn space_table(distances: &[Distance]) -> Table {
     table
 }
 
-/// How far the parameters are from the true ones.
+/// Returns a text on the errors of the parameters against the true ones; `None` if there is no σ, or no F.
 pub(super) fn truth_text(errors: &[ParameterError]) -> Option<String> {
     let of = |error: &&ParameterError| error.standardised().map(f64::abs);
     let known = errors.iter().filter(|error| of(error).is_some());

@@ -8,13 +8,13 @@ use comfy_table::presets::NOTHING;
 use super::tree::{Cell, Column, Part, Section, Table};
 
 impl Section {
-    /// The content of the section as text: paragraphs and tables, without figures.
+    /// Returns the content of the section as text: paragraphs and tables, without figures.
     #[must_use]
     pub fn to_text(&self) -> String {
         text_of(&self.parts, true)
     }
 
-    /// The same without what is shown on demand.
+    /// Returns this text without the parts that are shown on demand.
     #[must_use]
     pub fn to_brief_text(&self) -> String {
         text_of(&self.parts, false)
@@ -35,7 +35,7 @@ fn text_of(parts: &[Part], details: bool) -> String {
                 inner => format!("{summary}\n{inner}"),
             },
         };
-        // Sentences follow each other; tables stand apart.
+        // Sentences follow each other; tables are set apart.
         let is_text = matches!(part, Part::Verdict { .. } | Part::Text(_));
         if !text.is_empty() {
             text.push_str(if is_text && after_text { "\n" } else { "\n\n" });

@@ -16,18 +16,18 @@ pub struct Report {
     pub title: String,
     /// Line below the title; empty for none.
     pub subtitle: String,
-    /// In order.
+    /// Sections in order.
     pub sections: Vec<Section>,
 }
 
 /// A part of the report that is listed in its table of contents.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Section {
-    /// Its heading.
+    /// Heading of the section.
     pub title: String,
-    /// In order.
+    /// Parts in order.
     pub parts: Vec<Part>,
-    /// Warnings of its stage: first in the section of a page; a terminal has them apart from results.
+    /// Warnings of the stage. A page shows them first in the section; a terminal shows them apart from results.
     pub warnings: Vec<String>,
 }
 
@@ -35,11 +35,11 @@ pub struct Section {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
-    /// The verdict in a line, which a page shows as a badge.
+    /// The verdict in a line. A page shows it as a badge.
     Verdict {
-        /// The verdict that decides on its colour.
+        /// Verdict, which determines the colour.
         verdict: Verdict,
-        /// The line.
+        /// Text of the line.
         text: String,
     },
     /// Plain text; empty lines divide paragraphs, line breaks stay.
@@ -50,9 +50,9 @@ pub enum Part {
     Figure(Figure),
     /// Parts that are shown on demand, and always in print.
     Details {
-        /// What the parts are.
+        /// Summary of the parts.
         summary: String,
-        /// In order.
+        /// Parts in order.
         parts: Vec<Part>,
     },
 }
@@ -60,9 +60,9 @@ pub enum Part {
 /// A table.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Table {
-    /// What it shows.
+    /// Caption.
     pub caption: String,
-    /// The columns; a first column of text names the rows.
+    /// Columns. A first column of text names the rows.
     pub columns: Vec<Column>,
     /// Cells, row by row.
     pub rows: Vec<Vec<Cell>>,
@@ -71,11 +71,11 @@ pub struct Table {
 /// A column of a table.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Column {
-    /// Name of its quantity.
+    /// Name of the quantity.
     pub name: String,
-    /// Unit of its numbers; empty for text, for counts, and where each row has a unit of its own.
+    /// Unit of the numbers; empty for text, for counts, and if each row has its own unit.
     pub unit: String,
-    /// Whether its cells are numbers, which are aligned right.
+    /// True if the cells are numbers, which are aligned right.
     pub is_number: bool,
 }
 
@@ -85,12 +85,12 @@ pub struct Column {
 pub enum Cell {
     /// A number.
     Number {
-        /// The finite number, in the unit of its column or row.
+        /// Finite number, in the unit of its column or row.
         value: f64,
-        /// The number with as many digits as are worth showing.
+        /// Number with as many digits as are worth showing.
         text: String,
     },
-    /// Text, also for what is not known as a number (`fixed`); empty where a row has nothing to show.
+    /// Text, also instead of a number (`fixed`); empty if a row has nothing to show.
     Text(String),
     /// A number that is not known.
     Missing,
@@ -101,21 +101,21 @@ pub enum Cell {
 pub struct Figure {
     /// File name, such as `correlations.svg`.
     pub name: String,
-    /// What it shows, in a sentence or two.
+    /// Caption, in a sentence or two.
     pub caption: String,
-    /// The picture: one `<svg>` element without ids. A figure written as JSON leaves it to a separate file.
+    /// Picture: one `<svg>` element without ids. A figure written as JSON leaves it to a separate file.
     #[serde(skip)]
     pub svg: String,
 }
 
 impl Section {
-    /// A section.
+    /// Creates a section.
     #[must_use]
     pub fn new(title: &str, parts: Vec<Part>) -> Self {
         Self { title: title.to_owned(), parts, warnings: Vec::new() }
     }
 
-    /// The address of the section on a page: its title in lower case, words joined by `-`.
+    /// Returns the address of the section on a page: its title in lower case, words joined by `-`.
     #[must_use]
     pub fn id(&self) -> String {
         let lower = self.title.to_lowercase();
@@ -123,7 +123,7 @@ impl Section {
         words.collect::<Vec<_>>().join("-")
     }
 
-    /// The tables that are shown at once.
+    /// Returns the tables that are shown at once.
     pub fn tables(&self) -> impl Iterator<Item = &Table> {
         self.parts.iter().filter_map(|part| match part {
             Part::Table(table) => Some(table),
@@ -131,7 +131,7 @@ impl Section {
         })
     }
 
-    /// All figures of the section.
+    /// Returns all figures of the section.
     pub fn figures_mut(&mut self) -> Vec<&mut Figure> {
         fn collect<'a>(parts: &'a mut [Part], figures: &mut Vec<&'a mut Figure>) {
             for part in parts {
@@ -148,19 +148,19 @@ impl Section {
     }
 }
 
-/// A text as a sentence: with a full stop, unless it ends as a sentence already.
+/// Returns a text as a sentence: with a full stop, unless it ends as a sentence already.
 #[must_use]
 pub fn sentence(text: &str) -> String {
     if text.ends_with(['.', '?', '!']) { text.to_owned() } else { format!("{text}.") }
 }
 
 impl Part {
-    /// Parts that are shown on demand.
+    /// Creates parts that are shown on demand.
     pub(super) fn details(summary: &str, parts: Vec<Self>) -> Self {
         Self::Details { summary: summary.to_owned(), parts }
     }
 
-    /// Lines as paragraphs.
+    /// Returns lines as paragraphs.
     pub(super) fn paragraphs(text: &str) -> impl Iterator<Item = Self> {
         let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
         lines.map(|line| Self::Text(line.to_owned()))
@@ -168,7 +168,7 @@ impl Part {
 }
 
 impl Table {
-    /// A table without rows.
+    /// Creates a table without rows.
     #[must_use]
     pub fn new(caption: &str, columns: impl IntoIterator<Item = Column>) -> Self {
         let columns = columns.into_iter().collect();
@@ -182,25 +182,25 @@ impl Table {
 }
 
 impl Column {
-    /// A column of text.
+    /// Creates a column of text.
     #[must_use]
     pub fn text(name: &str) -> Self {
         Self { name: name.to_owned(), unit: String::new(), is_number: false }
     }
 
-    /// A column of counts, or of numbers whose unit is in each row.
+    /// Creates a column of counts, or of numbers whose unit is in each row.
     #[must_use]
     pub fn number(name: &str) -> Self {
         Self { name: name.to_owned(), unit: String::new(), is_number: true }
     }
 
-    /// A column of numbers with a unit.
+    /// Creates a column of numbers with a unit.
     #[must_use]
     pub fn of(name: &str, unit: &str) -> Self {
         Self { name: name.to_owned(), unit: unit.to_owned(), is_number: true }
     }
 
-    /// Name and unit.
+    /// Returns name and unit.
     #[must_use]
     pub fn heading(&self) -> String {
         let mut heading = self.name.clone();
@@ -212,60 +212,60 @@ impl Column {
 }
 
 impl Cell {
-    /// Nothing to show.
+    /// Creates an empty cell.
     #[must_use]
     pub fn empty() -> Self {
         Self::Text(String::new())
     }
 
-    /// A number that is shown in its own way; missing if it is not finite.
+    /// Creates a number with its own format; missing if it is not finite.
     fn shown(value: f64, text: impl FnOnce(f64) -> String) -> Self {
         if value.is_finite() { Self::Number { value, text: text(value) } } else { Self::Missing }
     }
 
-    /// A number with so many decimals.
+    /// Creates a number with this number of decimals.
     #[must_use]
     pub fn fixed(value: f64, decimals: usize) -> Self {
         Self::shown(value, |x| fixed(x, decimals))
     }
 
-    /// A number with its sign and so many decimals.
+    /// Creates a number with its sign and this number of decimals.
     #[must_use]
     pub fn signed(value: f64, decimals: usize) -> Self {
         Self::shown(value, |x| fixed_signed(x, decimals))
     }
 
-    /// A number with its sign and three significant digits.
+    /// Creates a number with its sign and three significant digits.
     #[must_use]
     pub fn difference(value: f64) -> Self {
         Self::shown(value, signed)
     }
 
-    /// A number with so many significant digits, and a power of ten where it is very small or large.
+    /// Creates a number with this number of significant digits, and a power of ten if it is very small or large.
     #[must_use]
     pub fn significant(value: f64, digits: usize) -> Self {
         Self::shown(value, |x| significant(x, digits))
     }
 
-    /// A number with two significant digits; missing if it is not positive.
+    /// Creates a number with two significant digits; missing if it is not positive.
     #[must_use]
     pub fn two_digits(value: f64) -> Self {
         if value > 0.0 { Self::shown(value, two_digits) } else { Self::Missing }
     }
 
-    /// An optional number, missing if there is none.
+    /// Creates a cell from an optional number; missing if there is none.
     #[must_use]
     pub fn or_missing(value: Option<f64>, cell: impl FnOnce(f64) -> Self) -> Self {
         value.map_or(Self::Missing, cell)
     }
 
-    /// A value with as many digits as its standard deviation makes sensible, or six.
+    /// Creates a value with as many digits as its standard deviation makes sensible, or six.
     #[must_use]
     pub fn value(value: f64, std_dev: Option<f64>) -> Self {
         Self::shown(value, |x| with_std_dev(x, std_dev).0)
     }
 
-    /// A standard deviation with two digits; empty if there is none or it is 0.
+    /// Creates a standard deviation with two digits; empty if there is none or it is 0.
     #[must_use]
     pub fn std_dev(std_dev: Option<f64>) -> Self {
         match std_dev {
@@ -274,7 +274,7 @@ impl Cell {
         }
     }
 
-    /// A value and its standard deviation, both with the digits that this makes sensible.
+    /// Creates a value and its standard deviation, both with the digits that the latter makes sensible.
     #[must_use]
     pub fn with_std_dev(value: f64, std_dev: Option<f64>) -> [Self; 2] {
         let of_std_dev = match std_dev {
@@ -284,7 +284,7 @@ impl Cell {
         [Self::value(value, std_dev), of_std_dev]
     }
 
-    /// The cell as text; `-` for a missing number.
+    /// Returns the cell as text; `-` for a missing number.
     #[must_use]
     pub fn as_text(&self) -> &str {
         match self {

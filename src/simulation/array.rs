@@ -1,4 +1,4 @@
-//! The micro-lens array as rays meet it: thin lenses with circular openings in one tilted plane.
+//! The micro-lens array as the tracer sees it: thin lenses with circular openings in one tilted plane.
 
 use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector2, Vector3};
 
@@ -10,34 +10,34 @@ pub(super) struct MicroLens {
     pub k: i32,
     pub l: i32,
     pub lens_type: usize,
-    /// C, camera frame.
+    /// Centre C of the micro-lens, camera frame.
     pub center: Point3<f64>,
-    /// 1/f.
+    /// Refractive power 1/f.
     pub power: f64,
-    /// False for a dead micro-lens, which lets no light through.
+    /// False for a dead micro-lens, which blocks all light.
     pub alive: bool,
 }
 
 impl MicroLens {
-    /// Size of a pupil over its projection onto the plane of the micro-lens, seen from a point of the
-    /// sensor; negative if inverted.
+    /// Returns the size of a pupil over its projection onto the plane of the micro-lens, seen from a point of the sensor;
+    /// negative if the projection is inverted.
     #[inline]
     pub fn demagnification(&self, to_sensor: f64, to_pupil: f64) -> f64 {
         1.0 + to_pupil * (1.0 / to_sensor - self.power)
     }
 }
 
-/// The array in front of the sensor. "Local" coordinates of a micro-lens have their origin at its
-/// centre and the axes of the array, z towards the main lens.
+/// The array in front of the sensor. "Local" coordinates of a micro-lens have their origin at its centre and the axes of
+/// the array, with z towards the main lens.
 #[derive(Debug, Clone)]
 pub(super) struct MicroLenses {
     pub lenses: Vec<MicroLens>,
     /// Axes of the array as columns, in the camera frame.
     pub axes: Matrix3<f64>,
-    /// ΔC along x.
+    /// Pitch ΔC along x.
     pub pitch: f64,
     pub opening_radius: f64,
-    /// Their diameter over the pitch.
+    /// Diameter of the openings over the pitch.
     pub aperture_ratio: f64,
     pub sensor_z: f64,
     pub pixel_size: f64,
@@ -45,7 +45,7 @@ pub(super) struct MicroLenses {
 }
 
 impl MicroLenses {
-    /// Micro-lenses with openings of `aperture_ratio` times their pitch.
+    /// Creates the array with openings of `aperture_ratio` times the pitch.
     pub fn new(camera: &PlenopticCamera, aperture_ratio: f64) -> Self {
         let mla = &camera.mla;
         let [x, y, z] = mla.rotation_rad.into();
@@ -82,34 +82,33 @@ impl MicroLenses {
         }
     }
 
-    /// Converts to local coordinates of a micro-lens.
+    /// Converts a point of the camera frame to local coordinates of a micro-lens.
     #[inline]
     pub fn local(&self, lens: &MicroLens, point: &Point3<f64>) -> Vector3<f64> {
         self.axes.tr_mul(&(point - lens.center))
     }
 
-    /// Converts from local coordinates, for a point in the plane of the micro-lenses.
+    /// Converts a point in the plane of the micro-lenses from local coordinates to the camera frame.
     #[inline]
     pub fn of_lens(&self, lens: &MicroLens, on_lens: Vector2<f64>) -> Point3<f64> {
         lens.center + self.axes.column(0) * on_lens.x + self.axes.column(1) * on_lens.y
     }
 
-    /// The point of the sensor at a pixel position.
+    /// Returns the point of the sensor at a pixel position.
     #[inline]
     pub fn on_sensor(&self, u: f64, v: f64) -> Point3<f64> {
         let place = (self.principal_point - Vector2::new(u, v)) * self.pixel_size;
         Point3::new(place.x, place.y, self.sensor_z)
     }
 
-    /// The pixel position where a line through `point` with direction `direction` meets the
-    /// sensor.
+    /// Returns the pixel position where the line through `point` along `direction` meets the sensor.
     pub fn to_pixel(&self, point: &Point3<f64>, direction: &Vector3<f64>) -> Point2<f64> {
         let hit = point + direction * ((self.sensor_z - point.z) / direction.z);
         Point2::from(self.principal_point - hit.xy().coords / self.pixel_size)
     }
 
-    /// Where a ray through `on_lens` (local) and `point` (camera frame, on the far side of the array)
-    /// meets the sensor, px.
+    /// Returns the pixel position where the ray through `on_lens` (local) and `point` (camera frame, on the scene side of the
+    /// array) meets the sensor.
     pub fn to_sensor(
         &self,
         lens: &MicroLens,
@@ -117,7 +116,7 @@ impl MicroLenses {
         point: &Point3<f64>,
     ) -> Point2<f64> {
         let target = self.local(lens, point);
-        // Seen from the sensor, the slope beyond the lens is less by x/f.
+        // On the sensor side, the slope is larger by x/f.
         let outer = (target.xy() - on_lens) / target.z;
         let inner = outer + on_lens * lens.power;
         let direction = self.axes * Vector3::new(inner.x, inner.y, 1.0);

@@ -1,13 +1,13 @@
-//! What is printed on the sheet of a checkerboard, and its light.
+//! The print on the sheet of a checkerboard, and its illumination.
 
 use nalgebra::Vector2;
 
 use super::target::Target;
 
-/// The least light on any part of the sheet, relative to its middle.
+/// Least illumination of any part of the sheet, relative to its middle.
 const LEAST_LIGHT: f64 = 0.05;
 
-/// A sheet. Places on it are in squares, the first one from 0 to 1.
+/// A printed sheet. Positions on it are in squares; the first square extends from 0 to 1.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BoardTexture {
     /// Numbers of squares along x and y.
@@ -16,11 +16,11 @@ pub(super) struct BoardTexture {
     border: f64,
     black: f64,
     white: f64,
-    /// Radiance of what is beside it.
+    /// Radiance beside the sheet.
     pub background: f64,
-    /// The light on the corner of the first square, relative to that on the middle of the sheet.
+    /// Illumination of the corner of the first square, relative to the middle of the sheet.
     light_at_first: f64,
-    /// How much it grows from square to square along x and y.
+    /// Increase of the illumination per square along x and y.
     light_by_square: [f64; 2],
 }
 
@@ -41,7 +41,7 @@ impl BoardTexture {
         }
     }
 
-    /// The radiance of a place.
+    /// Returns the radiance at a position.
     #[inline(always)]
     #[allow(clippy::inline_always, clippy::needless_bitwise_bool)] // for loops over rays, without branches
     pub fn radiance(&self, place: Vector2<f64>) -> f64 {
@@ -50,14 +50,14 @@ impl BoardTexture {
             (x >= -margin) & (x < columns + margin) & (y >= -margin) & (y < rows + margin)
         };
         let pairs = 0.5 * (x.floor() + y.floor());
-        // Whole, or with a half.
+        // `pairs` is a multiple of one half.
         let is_black = within(0.0) & (pairs - pairs.floor() < 0.25);
         let print = if is_black { self.black } else { self.white };
         let light = print * self.light(place);
         if within(self.border) { light } else { self.background }
     }
 
-    /// The light on a place, relative to that on the middle.
+    /// Returns the illumination of a position, relative to the middle.
     #[inline(always)]
     #[allow(clippy::inline_always)] // for loops over rays
     fn light(&self, place: Vector2<f64>) -> f64 {
@@ -65,7 +65,7 @@ impl BoardTexture {
         (self.light_at_first + by_x * place.x + by_y * place.y).max(LEAST_LIGHT)
     }
 
-    /// The radiance of all places in a rectangle, if it is the same.
+    /// Returns the radiance of a rectangle; `None` if it is not known to be uniform.
     #[allow(clippy::float_cmp)] // whole numbers, and light that is even or not
     pub fn radiance_between(&self, low: &Vector2<f64>, high: &Vector2<f64>) -> Option<f64> {
         if self.light_by_square != [0.0; 2] {
@@ -75,7 +75,7 @@ impl BoardTexture {
         for axis in 0..2 {
             let (low, high, end) = (low[axis], high[axis], self.squares[axis]);
             is_beside |= high < -self.border || low > end + self.border;
-            // Edges of squares and of the sheet.
+            // Edges of the squares and of the sheet.
             let has_squares = high >= 0.0 && low <= end;
             let edges = [-self.border, 0.0, end, end + self.border];
             let has_edge = edges.iter().any(|edge| (low..=high).contains(edge));
@@ -97,7 +97,7 @@ mod tests {
         Target { uneven_light: [0.0; 2], ..target() }
     }
 
-    /// Where the middle of the corners is at (3, 2).
+    /// The middle of the corners is at (3, 2).
     #[test]
     fn light_is_even_in_the_middle_and_never_lost() {
         let texture = BoardTexture::new(&target());
@@ -106,7 +106,7 @@ mod tests {
         }
     }
 
-    /// A rectangle that is said to have one radiance has it everywhere; most small ones are said to.
+    /// A rectangle with a reported radiance is uniform. Most small rectangles have one.
     #[test]
     #[allow(clippy::float_cmp)] // of the same print
     fn a_plain_rectangle_shows_one_radiance() {

@@ -1,4 +1,4 @@
-//! Which images a data set consists of, and how each is taken.
+//! The images of a simulated data set, and how each is taken.
 
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -18,31 +18,31 @@ use crate::error::{Error, Result};
 use crate::image::{Image, RawImage};
 use crate::model::{FramePose, Subset};
 
-/// What an image of a data set shows.
+/// The content of an image of a data set.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Content {
-    /// A white image for the pre-calibration, by its index.
+    /// White image for the pre-calibration, by index.
     White(usize),
-    /// The white image in the light and at the f-number of the boards.
+    /// White image with the illumination and the f-number of the boards.
     Devignetting,
-    /// The board of a frame.
+    /// Board of a frame.
     Board(Subset, u32),
 }
 
 /// One image to take.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shot {
-    /// What is in view.
+    /// Scene in view.
     pub scene: Scene,
     /// True f-number of the main lens.
     pub f_number: f64,
-    /// The one that the project file states.
+    /// F-number that the project file states.
     pub stated_f_number: f64,
-    /// How far the board moves across the axis during the exposure, mm; its pose is that in the middle.
+    /// Motion of the board across the axis during the exposure, mm. Its pose holds in the middle of the exposure.
     pub motion_mm: Vector2<f64>,
-    /// How it is read out.
+    /// Settings of the sensor.
     pub imaging: Imaging,
-    /// Seeds the randomness of this image.
+    /// Number that seeds the randomness of this image.
     pub number: u64,
 }
 
@@ -58,7 +58,7 @@ impl Shot {
         image
     }
 
-    /// The mean irradiance during the exposure.
+    /// Returns the mean irradiance during the exposure.
     pub(super) fn irradiance(
         &self,
         settings: &Settings,
@@ -72,7 +72,7 @@ impl Shot {
         };
         let rows = AtomicU32::new(0);
         let row = || {
-            // Every row is traced at all moments.
+            // Every row is traced once per moment.
             if (rows.fetch_add(1, Ordering::Relaxed) + 1).is_multiple_of(MOMENTS) {
                 progress();
             }
@@ -94,7 +94,7 @@ impl Shot {
     }
 }
 
-/// Moments of an exposure at which a moving board is looked at.
+/// Moments of an exposure at which a moving board is rendered.
 const MOMENTS: u32 = 8;
 
 /// All images of a data set.
@@ -102,18 +102,18 @@ const MOMENTS: u32 = 8;
 pub struct DataSet {
     /// White images for the pre-calibration.
     pub whites: Vec<Shot>,
-    /// The white image in the light and at the f-number of the boards.
+    /// White image with the illumination and the f-number of the boards.
     pub devignetting: Shot,
-    /// Boards by subset, in the order of [`Subset::ALL`]; frames count from 0 in each.
+    /// Boards by subset, in the order of [`Subset::ALL`]; frames count from 0 in each subset.
     pub subsets: [Vec<(FramePose, Shot)>; 3],
 }
 
-/// Number of draws before giving up.
+/// Number of random poses that are tried for a frame.
 const DRAWS: usize = 10_000;
 
 impl DataSet {
-    /// Plans a data set; the same settings give the same data set. The calibration boards are at `poses`
-    /// if given, else at random poses.
+    /// Plans a data set. The same settings give the same data set. The calibration boards are at `poses` if given, else at
+    /// random poses.
     pub fn plan(settings: &Settings, poses: Option<Vec<FramePose>>) -> Result<Self> {
         settings.validate()?;
         let boards = &settings.boards;
@@ -156,13 +156,13 @@ impl DataSet {
         Ok(data_set)
     }
 
-    /// All shots, in order.
+    /// Returns all shots, in order.
     pub fn shots(&self) -> impl Iterator<Item = &Shot> {
         let boards = self.subsets.iter().flatten().map(|(_, shot)| shot);
         self.whites.iter().chain([&self.devignetting]).chain(boards)
     }
 
-    /// All shots with what they show, in order.
+    /// Returns all shots with their content, in order.
     pub fn contents(&self) -> impl Iterator<Item = (Content, &Shot)> {
         let whites = self.whites.iter().enumerate().map(|(i, shot)| (Content::White(i), shot));
         let boards = Subset::ALL.into_iter().zip(&self.subsets).flat_map(|(subset, boards)| {
@@ -188,8 +188,8 @@ impl DataSet {
     }
 }
 
-/// Every frame has a distance from its own slice of the range, a random direction of tilt, and a
-/// position at which enough of the board is in view.
+/// Draws the poses of a subset. Every frame has a distance from its own slice of the range, a random direction of tilt, and
+/// a position at which enough of the board is in view.
 fn random_poses(settings: &Settings, count: usize, subset: Subset) -> Result<Vec<FramePose>> {
     let mut random = StdRng::seed_from_u64(hash([settings.seed, subset as u64, 0, 2]));
     let boards = &settings.boards;
@@ -235,7 +235,7 @@ fn random_poses(settings: &Settings, count: usize, subset: Subset) -> Result<Vec
         .collect()
 }
 
-/// The given poses; an error if there are none, or two for one frame.
+/// Returns the given poses. Fails if there are none, or two for one frame.
 fn distinct(poses: Vec<FramePose>) -> Result<Vec<FramePose>> {
     if poses.is_empty() {
         return Err(Error::invalid("there are no poses for the boards"));
@@ -266,7 +266,7 @@ fn translation_poses(settings: &Settings) -> Vec<FramePose> {
         .collect()
 }
 
-/// How far a board moves during the exposure: in a random direction. That on the linear stage stands still.
+/// Draws the motion of a board during the exposure, in a random direction; 0 for the board on the linear stage.
 fn motion_mm(settings: &Settings, subset: Subset, pose: &FramePose) -> Vector2<f64> {
     if subset == Subset::Translation {
         return Vector2::zeros();
@@ -278,7 +278,7 @@ fn motion_mm(settings: &Settings, subset: Subset, pose: &FramePose) -> Vector2<f
     Vector2::new(angle.cos(), angle.sin()) * way
 }
 
-/// The pose of a board whose middle is at a point.
+/// Returns the pose of a board whose middle is at a point.
 fn centred(
     settings: &Settings,
     middle: Vector3<f64>,
@@ -289,13 +289,13 @@ fn centred(
     Isometry3::from_parts(Translation3::from(middle), rotation) * Translation3::from(-half)
 }
 
-/// Distance of the sensor from the main lens, px: the scale of central projections.
+/// Returns the distance of the sensor from the main lens, px: the scale of central projections.
 fn focal_length_px(settings: &Settings) -> f64 {
     let mla = &settings.camera.mla;
     (mla.lens_to_mla_mm + mla.mla_to_sensor_mm) / settings.camera.sensor.pixel_size_mm
 }
 
-/// Fraction of the corners whose rays through the middle of the main lens meet the sensor.
+/// Returns the fraction of the corners whose rays through the middle of the main lens meet the sensor.
 fn in_view(settings: &Settings, camera_from_board: &Isometry3<f64>) -> f64 {
     let board = settings.target.board();
     let sensor = &settings.camera.sensor;

@@ -9,51 +9,51 @@ use crate::image::Color;
 
 /// Settings and noise of the sensor.
 ///
-/// The order is: light, crosstalk, shot noise, a full pixel, read noise, gain, black level, clipping to 0 and
-/// full scale, gamma, saturation, rounding; then hot pixels.
+/// They apply in this order: light, crosstalk, shot noise, full well, read noise, gain, black level, clipping to 0 and full
+/// scale, gamma, saturation, rounding; then hot pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Imaging {
-    /// Fraction of the full well that the middle of the brightest micro-image of a white target fills;
-    /// above 1 the pixel overflows. It holds at any f-number: the exposure time is adapted to the light.
+    /// Signal in the middle of the brightest micro-image of a white target, as a fraction of the full well; above 1 the pixel
+    /// overflows. It holds at any f-number: the exposure time is adapted to the light.
     pub exposure: f64,
-    /// Amplification after the pixel: with a gain of 4 a quarter of the full well is full scale.
+    /// Amplification after the pixel: with a gain of 4, a quarter of the full well gives full scale.
     pub gain: f64,
     /// Bits per sample, 8 or 16.
     pub bits: u32,
-    /// Grey, RGB or a colour mosaic.
+    /// Arrangement of the colours: grey, RGB or a colour mosaic.
     pub color: Color,
-    /// Response of red, green and blue pixels; grey ones respond with 1.
+    /// Response of red, green and blue pixels; grey pixels have the response 1.
     pub channel_response: [f64; 3],
     /// Full well in electrons, which determines the shot noise; `inf` for no noise at all.
     pub full_well_electrons: f64,
     /// Standard deviation of the read noise, electrons.
     pub read_noise_electrons: f64,
-    /// Fraction of a pixel's signal that goes to each of its four neighbours; at the border of the image it
-    /// stays.
+    /// Fraction of a pixel's signal that goes to each of its four neighbours. At the border of the image it stays in the
+    /// pixel.
     pub crosstalk: f64,
     /// Linear value of a pixel without light, as a fraction of full scale.
     pub black_level: f64,
-    /// Samples are the linear values to the power of 1/gamma, both as fractions of full scale.
+    /// Exponent γ of the samples: a sample is its linear value to the power of 1/γ, both as fractions of full scale.
     pub gamma: f64,
     /// Largest sample, as a fraction of full scale.
     pub saturation: f64,
     /// Number of pixels that always have the largest sample, at the same places in all images of a set.
     pub hot_pixels: usize,
-    /// Quality of JPEG files, from 1 to 100, instead of PNG: of 8 bits, grey or RGB.
+    /// Quality of JPEG files, from 1 to 100, instead of PNG. JPEG files have 8 bits and are grey or RGB.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jpeg_quality: Option<u8>,
 }
 
-/// Upper limits beyond any real sensor, shutter or amplifier.
+/// Upper limits, far beyond any real sensor, shutter or amplifier.
 pub(super) const MAX_FACTOR: f64 = 1e6;
 pub(super) const MAX_ELECTRONS: f64 = 1e9;
-/// With 0.2 a pixel keeps no more than each of its neighbours gets.
+/// Largest crosstalk. With 0.2, a pixel keeps as much as each of its neighbours gets.
 const MAX_CROSSTALK: f64 = 0.2;
 const GAMMAS: RangeInclusive<f64> = 0.1..=10.0;
 
 impl Default for Imaging {
-    /// An 8-bit grey image, well exposed, with the noise of an average CMOS sensor.
+    /// Returns an 8-bit grey image, well exposed, with the noise of an average CMOS sensor.
     fn default() -> Self {
         Self {
             exposure: 0.8,
@@ -163,7 +163,7 @@ impl Imaging {
         Ok(())
     }
 
-    /// The sample of a linear value, both as fractions of full scale, before saturation.
+    /// Returns the sample of a linear value before saturation, both as fractions of full scale.
     pub(super) fn sample_of(&self, linear: f64) -> f64 {
         let clipped = linear.clamp(0.0, 1.0);
         let is_linear = (self.gamma - 1.0).abs() < f64::EPSILON;

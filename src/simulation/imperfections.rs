@@ -14,19 +14,18 @@ use crate::model::{PlenopticCamera, Sensor, positive};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Imperfections {
-    /// A second stop, such as the rim of a lens barrel, that cuts off oblique rays.
+    /// Second stop that cuts off oblique rays, such as the rim of a lens barrel.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub second_stop: Option<SecondStop>,
-    /// Diameter of the micro-lenses' openings over their pitch, above 0 and up to 1; the rest is
-    /// opaque.
+    /// Aperture ratio: diameter of the micro-lenses' openings over their pitch, above 0 and up to 1. The rest is opaque.
     #[serde(alias = "fill_factor")]
     pub aperture_ratio: f64,
-    /// How light falls off with its angle of incidence on the sensor.
+    /// Law of the angular response: fall-off of light with its angle of incidence on the sensor.
     pub fall_off: FallOffLaw,
-    /// Standard deviation of a Gaussian point spread on the sensor along each axis, px: diffraction and
-    /// aberrations of the micro-lenses, and light that spreads between pixels. It is cut at 4σ.
+    /// Standard deviation of a Gaussian point spread on the sensor along each axis, px, due to diffraction, aberrations of the
+    /// micro-lenses and the response of pixels. It is cut at 4σ.
     pub point_spread_px: f64,
-    /// Number of micro-lenses that let no light through.
+    /// Number of micro-lenses that block all light.
     pub dead_micro_lenses: usize,
     /// Number of opaque specks on the sensor.
     pub dust_specks: usize,
@@ -34,15 +33,14 @@ pub struct Imperfections {
     pub dust_diameter_px: f64,
 }
 
-/// How light falls off with its angle of incidence θ on the sensor.
+/// Fall-off of light with its angle of incidence θ on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FallOffLaw {
-    /// cos⁴θ: natural vignetting, of pixels that take light from all sides alike.
+    /// cos⁴θ: natural vignetting, with pixels whose response does not depend on the angle.
     #[default]
     Cos4,
-    /// None: a white target gives every ray the same weight per area of the micro-lens, that of light on
-    /// the axis.
+    /// Constant response: a white target gives every ray the weight of light on the axis, per area of the micro-lens.
     None,
     /// cos⁴θ · 2^−(tan θ/tan θ½)²: pixels whose response falls to one half at θ½, in degrees.
     HalfResponseDeg(f64),
@@ -52,8 +50,8 @@ pub enum FallOffLaw {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SecondStop {
-    /// Position along z from the main lens, mm; negative behind it. In front of the lens, its apparent
-    /// position seen from behind.
+    /// Position along z from the main lens, mm; negative behind it. A stop in front of the lens has the apparent position seen
+    /// from behind.
     pub z_mm: f64,
     /// Diameter, mm.
     pub diameter_mm: f64,
@@ -73,21 +71,21 @@ impl Default for Imperfections {
     }
 }
 
-/// More specks would leave nothing to see.
+/// Largest number of dust specks. More would cover the whole image.
 const MAX_SPECKS: usize = 100_000;
-/// Beyond this a stop might as well be at infinity.
+/// Largest distance of a stop, mm. A stop further away is equivalent to one at infinity.
 const FURTHEST_MM: f64 = 1e6;
-/// A wider point spread would blur a micro-image of the usual size away.
+/// Largest point spread, px. A wider one would blur away a micro-image of the usual size.
 const WIDEST_SPREAD_PX: f64 = 10.0;
-/// Pixels that respond to nothing but the axis would see nothing.
+/// Smallest angle of half response, degrees. Pixels with a smaller one would receive almost no light.
 const LEAST_ANGLE_DEG: f64 = 1.0;
-/// Seeds of random positions, separate so that one does not change the other.
+/// Seeds of random positions. They are separate, so that one does not change the other.
 const DEAD: u64 = 0x6465_6164;
 const DUST: u64 = 0x6475_7374;
 
 impl FallOffLaw {
-    /// Irradiance through a small area of the micro-lens, over that area, of light with a radiance.
-    /// `inner` is the vector from sensor to micro-lens, `distance` the one between their planes.
+    /// Returns the irradiance through a small area of the micro-lens, over that area, for light of a given radiance. `inner` is
+    /// the vector from sensor to micro-lens, `distance` the distance between their planes.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub(super) fn light(self, radiance: f64, inner: &Vector3<f64>, distance: f64) -> f64 {
@@ -104,7 +102,7 @@ impl FallOffLaw {
         natural
     }
 
-    /// Response of a pixel whose response is half at an angle.
+    /// Returns the relative response to light along `inner` of a pixel whose response falls to one half at an angle.
     fn response(half_deg: f64, inner: &Vector3<f64>) -> f64 {
         let tangents = inner.xy().norm() / inner.z / half_deg.to_radians().tan();
         (-tangents * tangents).exp2()
@@ -163,7 +161,7 @@ impl Imperfections {
     }
 }
 
-/// An error unless z lies in front of the array, and not so far that all rays are parallel.
+/// Fails unless z lies in front of the array, and not so far away that all rays are parallel.
 fn place(what: &str, z: f64, lens_to_mla: f64) -> Result<()> {
     if z > -lens_to_mla && z <= FURTHEST_MM {
         return Ok(());
@@ -174,12 +172,12 @@ fn place(what: &str, z: f64, lens_to_mla: f64) -> Result<()> {
     )))
 }
 
-/// Specks on the sensor.
+/// Dust specks on the sensor.
 #[derive(Debug)]
 pub(super) struct Dust {
-    /// For every row of the image the specks that may touch it.
+    /// Specks that may touch a row, for every row of the image.
     rows: Vec<Vec<Speck>>,
-    /// How far from the middle of a pixel its light may arrive, px.
+    /// Largest distance from the middle of a pixel at which its light may arrive, px.
     margin: f64,
 }
 
@@ -213,13 +211,13 @@ impl Dust {
         Self { rows, margin }
     }
 
-    /// Whether a speck may cover part of pixel (u, v).
+    /// Returns true if a speck may cover part of pixel (u, v).
     pub fn touches(&self, u: usize, v: usize) -> bool {
         self.near(v, u as f64, v as f64, self.margin)
     }
 
-    /// Whether a speck covers the place where light of pixel (u, v) would arrive without point spread: the
-    /// shadow of a speck is spread as well.
+    /// Returns true if a speck covers the point where light of pixel (u, v) would arrive without point spread. The shadow of a
+    /// speck is spread as well.
     pub fn covers(&self, u: usize, v: usize, [right, down]: [f64; 2]) -> bool {
         self.near(v, u as f64 + right, v as f64 + down, 0.0)
     }
@@ -233,8 +231,7 @@ impl Dust {
 mod tests {
     use super::*;
 
-    /// At 45° cos⁴ is a quarter, at its angle a pixel has half the response, twice as far out (in
-    /// tangents) a sixteenth.
+    /// The factor cos⁴ is a quarter at 45°. A pixel has half the response at its angle, and a sixteenth at twice the tangent.
     #[test]
     fn light_falls_off_by_the_law() {
         let at = |law: FallOffLaw, tangent: f64| {

@@ -1,5 +1,4 @@
-//! The main lens as the tracer uses it: a ray behind it goes in, a ray in front of it comes out or is
-//! blocked.
+//! The main lens as the tracer uses it. It takes a ray behind the lens, and returns the ray in front of it or blocks it.
 
 use nalgebra::{Point3, Vector3};
 
@@ -17,9 +16,9 @@ use crate::model::{MainLens, PlenopticCamera, Sensor};
 #[derive(Debug, Clone)]
 pub(super) struct Lens {
     pub optics: Optics,
-    /// The exit pupil for rays close to the axis, by which micro-images are reckoned.
+    /// Paraxial exit pupil, from which the sizes of micro-images are computed.
     pub pupil: Stop,
-    /// The opening that rays are drawn from: it contains all that pass.
+    /// Opening that rays are drawn from. It contains all rays that pass.
     pub drawn: Stop,
 }
 
@@ -29,13 +28,13 @@ pub(super) enum Optics {
     Real(RealLens),
 }
 
-/// Beyond this an exit pupil might as well be at infinity, mm.
+/// Largest distance of an exit pupil, mm. A pupil further away is equivalent to one at infinity.
 const FURTHEST_MM: f64 = 1e6;
-/// Agreement of the camera's exit pupil with that of its prescription, relative to F.
+/// Tolerance for the camera's exit pupil against its prescription, relative to F.
 const SAME_PUPIL: f64 = 1e-6;
 
 impl Lens {
-    /// The thin lens of the camera, or a real one of its focal length.
+    /// Creates the thin lens of the camera, or a real lens with its focal length.
     pub fn new(
         camera: &PlenopticCamera,
         prescription: Option<&Prescription>,
@@ -54,13 +53,13 @@ impl Lens {
         Ok(Self { optics: Optics::Real(real), pupil, drawn: Stop::new(pupil.center, radius) })
     }
 
-    /// What a real lens comes to for objects at a distance.
+    /// Returns the figures of a real lens for objects at a distance; `None` for a thin lens.
     pub fn figures(&self, object_mm: f64) -> Option<LensFigures> {
         let Optics::Real(real) = &self.optics else { return None };
         real.figures(object_mm)
     }
 
-    /// z that no micro-lens may reach.
+    /// Returns the z that all micro-lenses must stay behind.
     pub fn rear_z(&self) -> f64 {
         let lens = match &self.optics {
             Optics::Thin(_) => 0.0,
@@ -69,7 +68,7 @@ impl Lens {
         self.pupil.center.z.min(lens)
     }
 
-    /// Distance at which a board lies in front of the lens, mm.
+    /// Returns the distance beyond which a board lies in front of the lens, mm.
     pub fn nearest_object(&self) -> f64 {
         match &self.optics {
             Optics::Thin(_) => 0.0,
@@ -77,8 +76,7 @@ impl Lens {
         }
     }
 
-    /// An error if distortion folds the image within the corners of the sensor: no object point has its
-    /// image beyond the fold.
+    /// Fails if distortion folds the image within the corners of the sensor. No object point has its image beyond the fold.
     pub fn check_distortion(&self, corners: &[Point3<f64>]) -> Result<()> {
         let Optics::Thin(thin) = &self.optics else { return Ok(()) };
         for corner in corners.iter().map(|corner| corner.xy().coords) {
@@ -93,7 +91,7 @@ impl Lens {
         Ok(())
     }
 
-    /// Whether a ray passes all openings of the lens.
+    /// Returns true if a ray passes all openings of the lens.
     pub fn passes(&self, ray: &Ray) -> bool {
         match &self.optics {
             Optics::Thin(thin) => thin.pupil.passes(ray),
@@ -101,14 +99,14 @@ impl Lens {
         }
     }
 
-    /// What a narrow bundle of rays about `ray` has in common, if the lens needs it. The search starts from what was
-    /// found for a ray nearby, if there is one.
+    /// Returns the data that the rays of a narrow bundle about `ray` share; `None` if the lens needs none, or if `ray` leads
+    /// away from the board. The search starts from the result of a nearby ray, if given.
     pub fn aim(&self, ray: &Ray, board: &PlacedTarget, nearby: Option<&Aim>) -> Option<Aim> {
         let Optics::Thin(thin) = &self.optics else { return None };
         thin.aim(ray, board, nearby)
     }
 
-    /// Follows a ray to a board, with [`Lens::aim`] for its bundle.
+    /// Follows a ray to a board, with the [`Lens::aim`] of its bundle.
     #[cfg(test)]
     pub fn follow(&self, ray: &Ray, aim: Option<&Aim>, board: &PlacedTarget) -> Passage {
         match &self.optics {
@@ -117,7 +115,7 @@ impl Lens {
         }
     }
 
-    /// The image of a point, about the middle of the pupil; `None` if it is not beyond the focal length.
+    /// Returns the image of a point about the middle of the pupil; `None` if the point is not beyond the focal length.
     pub fn image_of(&self, point: &Point3<f64>) -> Option<Point3<f64>> {
         match &self.optics {
             Optics::Thin(thin) => thin.image_of(point),
@@ -125,8 +123,8 @@ impl Lens {
         }
     }
 
-    /// The image of a point as the rays through `from` form it, a point behind the lens; `near` is
-    /// [`Lens::image_of`] the point. A thin lens has one image for all rays.
+    /// Returns the image of a point, formed by the rays through `from`, a point behind the lens; `near` is [`Lens::image_of`]
+    /// the point. A thin lens has one image for all rays.
     pub fn image_from(
         &self,
         point: &Point3<f64>,
@@ -139,8 +137,8 @@ impl Lens {
         }
     }
 
-    /// The direction from a point behind the lens to the middle of its opening; `None` if no ray leads
-    /// there.
+    /// Returns the direction of the chief ray from a point behind the lens: to the middle of the exit pupil, or through the
+    /// middle of the stop of a real lens. `None` if no ray leads there.
     pub fn chief_direction(&self, from: &Point3<f64>) -> Option<Vector3<f64>> {
         match &self.optics {
             Optics::Thin(_) => Some(self.pupil.center - from),
@@ -149,7 +147,7 @@ impl Lens {
     }
 }
 
-/// An error if a camera with a prescription states what follows from its prescription.
+/// Fails if a camera states distortion, field curvature or an exit pupil that contradicts its prescription.
 pub(super) fn check_camera(camera: &PlenopticCamera, prescription: &Prescription) -> Result<()> {
     let lens = &camera.main_lens;
     let corrected = lens.radial.iter().chain(&lens.tangential).any(|&c| c != 0.0);
@@ -169,7 +167,7 @@ pub(super) fn check_camera(camera: &PlenopticCamera, prescription: &Prescription
     Ok(())
 }
 
-/// Distance of the furthest corner of the array or the sensor from the axis, mm.
+/// Returns the distance of the furthest corner of the sensor from the axis, mm, or of the array if that is smaller.
 fn furthest_mm(camera: &PlenopticCamera) -> f64 {
     let (mla, lattice) = (&camera.mla, &camera.lattice);
     let Sensor { width_px, height_px, pixel_size_mm } = camera.sensor;
@@ -183,13 +181,13 @@ fn furthest_mm(camera: &PlenopticCamera) -> f64 {
         let node = lattice.node(k, l);
         (mla.offset_mm.x - mla.pitch_mm * node.x).hypot(mla.offset_mm.y - mla.pitch_mm * node.y)
     });
-    // Micro-lenses that the sensor does not see do not matter.
+    // Micro-lenses that the sensor does not see have no effect.
     let furthest = |distances: [f64; 4]| distances.into_iter().fold(0.0, f64::max);
     furthest(of_sensor).min(furthest(of_array) + mla.pitch_mm)
 }
 
-/// The exit pupil of the thin lens. The entrance pupil has the diameter F/N; the exit pupil is its
-/// image, p times as wide.
+/// Returns the exit pupil of the thin lens. The entrance pupil has the diameter F/N; the exit pupil is its image, p times as
+/// wide.
 fn exit_pupil(lens: &MainLens, f_number: f64) -> Result<Stop> {
     let place = lens.exit_pupil_mm;
     if let Some(far) = place.iter().find(|e| e.abs() > FURTHEST_MM) {

@@ -1,12 +1,12 @@
 //! Raw images of a simulated camera with complete ground truth.
 //!
 //! Rays run from points of the pixels through points of the micro-lenses and the main lens into the
-//! scene, and are refracted or blocked on the way. Micro-lenses are thin; the main lens is thin with the
-//! paper's lateral distortion and a curved field, or a real one, given by its surfaces; the array has all
-//! six degrees of freedom; see [`Tracer`]. Nothing here calls the
+//! scene, and are refracted or blocked on the way. Micro-lenses are thin. The main lens is thin, with the
+//! paper's lateral distortion and a curved field, or real, given by its surfaces. The array has all
+//! six degrees of freedom. See [`Tracer`]. The simulation does not call the
 //! projection model of the C++ core, so each can be tested against the other.
 //!
-//! [`simulate`] makes a whole data set from [`Settings`].
+//! [`simulate`] simulates a whole data set from [`Settings`].
 
 mod array;
 mod board_texture;

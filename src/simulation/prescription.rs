@@ -1,4 +1,4 @@
-//! The prescription of a real lens: its surfaces, as in a patent or a textbook, and its optics close to the axis: focal length,
+//! The prescription of a real lens: its surfaces, as in a patent or a textbook, and its paraxial optics: focal length,
 //! principal planes and pupils.
 
 use std::fmt;
@@ -11,11 +11,11 @@ use serde::{Deserialize, Deserializer, Serialize};
 use crate::error::{Error, Result};
 use crate::model::positive;
 
-/// The surfaces of a lens in air, the front one first. It is scaled to the focal length of the camera, so
-/// that the unit of length does not matter.
+/// The surfaces of a lens in air, from front to rear. The lens is scaled to the focal length of the camera, so the unit of
+/// length is arbitrary.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Prescription {
-    /// Refracting surfaces, and one that is the stop.
+    /// Refracting surfaces, and the stop.
     pub surfaces: Vec<Surface>,
 }
 
@@ -26,15 +26,15 @@ pub struct Surface {
     /// Radius of curvature, mm: positive if the centre lies on the side of the image, `inf` for a plane.
     #[serde(default = "flat")]
     pub radius_mm: f64,
-    /// Distance to the next surface along the axis, mm; of no effect at the last one.
+    /// Distance to the next surface along the axis, mm; ignored for the last surface.
     #[serde(default)]
     pub thickness_mm: f64,
-    /// Refractive index of what follows; 1 for air.
+    /// Refractive index behind the surface; 1 for air.
     #[serde(default = "air")]
     pub index: f64,
-    /// Half the diameter of the clear opening, mm. Of the stop, that of the lens wide open.
+    /// Half the diameter of the opening, mm; for the stop, with the lens fully open.
     pub semi_diameter_mm: f64,
-    /// Whether this is the stop, a plane of its own within one medium.
+    /// True for the stop, which is a plane within one medium.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stop: bool,
 }
@@ -53,13 +53,13 @@ macro_rules! lenses {
     };
 }
 
-/// Lenses that come with plenocal by name, files in `data/lenses`.
+/// Lenses that come with plenocal, by name: files in `data/lenses`.
 const LENSES: [(&str, &str); 2] = lenses!["double-gauss", "telephoto"];
-/// Above that of any glass.
+/// Largest refractive index, above the index of any glass.
 const MAX_INDEX: f64 = 4.0;
 
 impl Prescription {
-    /// A lens that comes with plenocal.
+    /// Returns a lens that comes with plenocal.
     pub fn named(name: &str) -> Result<Self> {
         let Some((_, text)) = LENSES.iter().find(|(known, _)| *known == name) else {
             let names = LENSES.map(|(name, _)| name).join(", ");
@@ -70,8 +70,8 @@ impl Prescription {
         Self::from_toml(text).map_err(|e| Error::invalid(format!("the lens {name}: {e}")))
     }
 
-    /// A prescription from the text of its file: `surfaces`, each with `radius_mm`, `thickness_mm`,
-    /// `index`, `semi_diameter_mm`, or `stop = true`.
+    /// Reads a prescription from the text of its file: `surfaces`, each with `radius_mm`, `thickness_mm`, `index`,
+    /// `semi_diameter_mm`, or `stop = true`.
     pub fn from_toml(text: &str) -> Result<Self> {
         let prescription: Self = toml::from_str(text)
             .map_err(|e| Error::invalid(format!("not the prescription of a lens: {e}")))?;
@@ -79,24 +79,23 @@ impl Prescription {
         Ok(prescription)
     }
 
-    /// e_z of the lens scaled to a focal length, mm: its exit pupil for rays close to the axis, as the
-    /// camera has it.
+    /// Returns e_z of the lens scaled to a focal length, mm: the paraxial exit pupil, which the camera has too.
     pub fn exit_pupil_z(&self, focal_length_mm: f64) -> Result<f64> {
         let paraxial = Paraxial::of(self)?;
         Ok(paraxial.z_mm(paraxial.exit_pupil, focal_length_mm))
     }
 
-    /// Index of the stop.
+    /// Returns the index of the stop.
     pub(super) fn stop(&self) -> usize {
         self.surfaces.iter().position(|surface| surface.stop).unwrap_or_default()
     }
 
-    /// Refractive index in front of a surface.
+    /// Returns the refractive index in front of a surface.
     pub(super) fn index_before(&self, surface: usize) -> f64 {
         surface.checked_sub(1).map_or(1.0, |i| self.surfaces[i].index)
     }
 
-    /// An error that names the impossible value.
+    /// Returns an error that names the impossible value.
     #[allow(clippy::float_cmp)] // an index is stated
     pub fn validate(&self) -> Result<()> {
         for (i, surface) in self.surfaces.iter().enumerate() {
@@ -148,7 +147,7 @@ impl Prescription {
     }
 }
 
-/// As in a file: either a name, or surfaces.
+/// Reads a prescription from a file of settings: a name, or surfaces.
 impl<'de> Deserialize<'de> for Prescription {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
         deserializer.deserialize_any(NameOrSurfaces)
@@ -179,25 +178,25 @@ impl<'de> Visitor<'de> for NameOrSurfaces {
     }
 }
 
-/// Figures of a lens in air for rays close to the axis. Places are distances behind the first vertex, in
-/// the unit of the prescription; negative in front of it.
+/// Paraxial figures of a lens in air. Positions are distances behind the first vertex, in the unit of the prescription;
+/// negative in front of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Paraxial {
     pub focal_length: f64,
-    /// H, from which object distances count.
+    /// Front principal plane H, from which object distances count.
     pub front_principal: f64,
-    /// H', from which image distances count.
+    /// Rear principal plane H', from which image distances count.
     pub rear_principal: f64,
     pub entrance_pupil: f64,
     pub exit_pupil: f64,
-    /// p: diameter of the exit pupil over that of the entrance pupil.
+    /// Pupil magnification p: ratio of the diameters of exit pupil and entrance pupil.
     pub pupil_magnification: f64,
-    /// Diameter of the stop over that of the entrance pupil.
+    /// Ratio of the diameters of stop and entrance pupil.
     pub stop_magnification: f64,
 }
 
 impl Paraxial {
-    /// An error if the lens does not form real images of far objects, or its pupil is upside down.
+    /// Computes the figures. Fails if the lens does not form real images of far objects, or its exit pupil is inverted.
     pub fn of(lens: &Prescription) -> Result<Self> {
         let (stop, count) = (lens.stop(), lens.surfaces.len());
         let length: f64 =
@@ -243,8 +242,8 @@ impl Paraxial {
         Ok(paraxial)
     }
 
-    /// z of a place behind the first vertex when the lens is scaled to a focal length, mm: from H',
-    /// positive towards the scene.
+    /// Returns z in mm, from H' and positive towards the scene, of a position behind the first vertex, for the lens scaled to a
+    /// focal length.
     pub fn z_mm(&self, place: f64, focal_length_mm: f64) -> f64 {
         (self.rear_principal - place) * focal_length_mm / self.focal_length
     }

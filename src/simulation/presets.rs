@@ -12,9 +12,9 @@ use crate::table::{finite, replace};
 /// A simulation file that comes with plenocal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Preset {
-    /// Its name.
+    /// Name of the preset.
     pub name: &'static str,
-    /// Its text.
+    /// Text of the file.
     pub text: &'static str,
 }
 
@@ -27,7 +27,7 @@ macro_rules! presets {
     };
 }
 
-/// The presets, files in `data/presets`.
+/// All presets: files in `data/presets`.
 pub const PRESETS: [Preset; 12] = presets![
     "mini",
     "r12-a",
@@ -44,12 +44,12 @@ pub const PRESETS: [Preset; 12] = presets![
 ];
 
 impl Settings {
-    /// The settings of a preset with some values replaced, see [`Settings::from_toml`].
+    /// Returns the settings of a preset with some values replaced, see [`Settings::from_toml`].
     pub fn preset(name: &str, replaced: &[String]) -> Result<Self> {
         Self::preset_and_files(name, replaced, &no_files)
     }
 
-    /// The same; `read` returns the text of the file that a prescription names.
+    /// Does the same as [`Settings::preset`]; `read` returns the text of the file that a prescription names.
     pub fn preset_and_files(
         name: &str,
         replaced: &[String],
@@ -63,13 +63,13 @@ impl Settings {
             .map_err(|e| Error::invalid(format!("preset {name}: {e}")))
     }
 
-    /// Settings from the text of a simulation file. `replaced` holds `key=value` pairs that take
-    /// precedence over the file: keys with dots for tables, values in TOML (or plain strings).
+    /// Reads settings from the text of a simulation file. The `key=value` pairs in `replaced` take precedence over the file:
+    /// keys have dots for tables, values are TOML or plain strings.
     pub fn from_toml(text: &str, replaced: &[String]) -> Result<Self> {
         settings_from(text, replaced, &no_files)
     }
 
-    /// The same; `read` returns the text of the file that a prescription names.
+    /// Does the same as [`Settings::from_toml`]; `read` returns the text of the file that a prescription names.
     pub fn from_toml_and_files(
         text: &str,
         replaced: &[String],
@@ -78,7 +78,7 @@ impl Settings {
         settings_from(text, replaced, read)
     }
 
-    /// The settings as the text of a simulation file.
+    /// Returns the settings as the text of a simulation file.
     pub fn to_toml(&self) -> Result<String> {
         toml::to_string(self)
             .map(|text| format!("{text}{LEFT_OUT}"))
@@ -86,7 +86,7 @@ impl Settings {
     }
 }
 
-/// Optional settings of a simulation file.
+/// Optional settings, which [`Settings::to_toml`] appends as comments.
 const LEFT_OUT: &str = "
 # Optional:
 #
@@ -99,7 +99,7 @@ const LEFT_OUT: &str = "
 # Every setting is explained in docs/simulation.md.
 ";
 
-/// Whether a prescription is the name of a file.
+/// Returns true if a prescription is the name of a file.
 fn is_file(name: &str) -> bool {
     Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"))
 }
@@ -138,7 +138,7 @@ fn settings_from(
         table.insert("prescription".to_owned(), Value::Table(surfaces));
     }
     finite(&table)?;
-    // Without replaced values, errors can name the line.
+    // Errors of a text without replaced values can name the line.
     let mut unknown = Vec::new();
     let mut note = |path: serde_ignored::Path| unknown.push(path.to_string());
     let mut settings: Settings = if replaced.is_empty() && prescription.is_none() {

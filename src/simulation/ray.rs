@@ -1,8 +1,8 @@
-//! Straight rays, openings that they pass, and what becomes of them.
+//! Straight rays, the openings that they pass, and the ends of their paths.
 
 use nalgebra::{Point3, Vector2};
 
-/// A straight ray by the point where it crosses z = 0 and its slopes dx/dz, dy/dz.
+/// A straight ray: the point where it crosses z = 0, and its slopes dx/dz and dy/dz.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ray {
     pub at_lens: Vector2<f64>,
@@ -10,13 +10,13 @@ pub(super) struct Ray {
 }
 
 impl Ray {
-    /// The ray through a point with a slope.
+    /// Creates the ray through a point with a slope.
     #[inline]
     pub fn from(point: &Point3<f64>, slope: Vector2<f64>) -> Self {
         Self { at_lens: point.xy().coords - slope * point.z, slope }
     }
 
-    /// Where it crosses a plane across the axis.
+    /// Returns the point where the ray crosses the plane at z.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn at(&self, z: f64) -> Vector2<f64> {
@@ -29,7 +29,7 @@ impl Ray {
 pub(super) struct Stop {
     pub center: Point3<f64>,
     pub radius: f64,
-    /// Square of the distance from the middle up to which rays pass.
+    /// Square of the largest distance from the middle at which rays pass.
     limit2: f64,
 }
 
@@ -47,13 +47,13 @@ impl Stop {
     }
 }
 
-/// What becomes of a ray from the sensor.
+/// End of the path of a ray from the sensor.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Passage {
-    /// It is blocked.
+    /// The ray is blocked.
     Blocked,
-    /// It leads away from the board.
+    /// The ray leads away from the board.
     Away,
-    /// It goes on in front of the lens.
+    /// The ray continues in front of the lens.
     Seen(Ray),
 }

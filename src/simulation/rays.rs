@@ -1,9 +1,9 @@
 //! The light along all rays between a pixel and a micro-lens.
 //!
-//! Rays go from stage to stage in blocks: each stage is a loop over short equations without branches, which the
-//! compiler turns into operations on several rays at once.
+//! Rays pass the stages in blocks. Each stage is a loop over short equations without branches, which the compiler turns into
+//! operations on several rays at once.
 
-// Only what is inlined into a dispatched function is compiled for its registers, and of loops those over a constant number.
+// Only functions inlined into a dispatched one are compiled for its registers, and only loops of a constant number of rounds.
 #![allow(clippy::inline_always, clippy::needless_range_loop)]
 
 use std::ops::Range;
@@ -28,63 +28,62 @@ pub(super) struct Bundle {
     pub pixel: Vector3<f64>,
     pub right: Vector3<f64>,
     pub down: Vector3<f64>,
-    /// Where its rays are drawn.
+    /// Region from which the rays are drawn.
     pub draw: Draw,
-    /// What its rays have in common behind a thin main lens, if they lead to the board.
+    /// Data that the rays share behind a thin main lens, if they lead to the board.
     pub aim: Option<Aim>,
 }
 
-/// From where the rays to a place on the sensor, or to a pixel, are drawn.
+/// The region from which the rays to a point of the sensor, or to a pixel, are drawn.
 pub(super) struct Draw {
-    /// Whether rays are drawn on the opening of the micro-lens, or else on the pupil: on whichever is
-    /// smaller, projected onto the plane of the micro-lens.
+    /// True if rays are drawn from the opening of the micro-lens, false if from the pupil: the smaller of both, projected onto
+    /// the plane of the micro-lens.
     pub on_opening: bool,
-    /// Which part of it.
+    /// Part of the opening or the pupil.
     pub window: Window,
-    /// Area of that part, in the plane of the micro-lens.
+    /// Area of this part in the plane of the micro-lens.
     pub area: f64,
-    /// The middle of the pupil, projected onto the plane of the micro-lens.
+    /// Middle of the pupil, projected onto the plane of the micro-lens.
     pub middle: Vector2<f64>,
 }
 
-/// Rays side by side; the room is used again for the next ones.
+/// A block of rays, whose memory is reused.
 pub(super) struct Block {
-    /// The place on the sensor, local to the micro-lens.
+    /// Points on the sensor, local to the micro-lens.
     pixel: [[f64; BLOCK]; 3],
-    /// That on the micro-lens.
+    /// Points on the micro-lens, local.
     on_lens: [[f64; BLOCK]; 2],
-    /// The ray from there on: where it crosses z = 0, and its slopes.
+    /// Rays between micro-lens and main lens: the points where they cross z = 0, and their slopes.
     at_lens: [[f64; BLOCK]; 2],
     slope: [[f64; BLOCK]; 2],
-    /// The light that it brings: at first the area that it is drawn from, 0 once it is blocked.
+    /// Light of the rays: at first the area that each is drawn from; 0 for a blocked ray.
     light: [f64; BLOCK],
 }
 
-/// What the rays of a bundle bring.
+/// The integral of the light over the rays of a bundle.
 pub(super) struct BundleIntegral<'a> {
     pub tracer: &'a Tracer,
     pub lens: &'a MicroLens,
     pub bundle: &'a Bundle,
     pub set: RaySet<'a>,
-    /// u and v.
+    /// Column u and row v of the pixel.
     pub at: [usize; 2],
     pub sees: BundleTarget<'a>,
-    /// Room for rays.
+    /// Memory for the rays.
     pub block: &'a mut Block,
 }
 
-/// What all rays of a bundle see that pass the main lens.
+/// The scene that the rays of a bundle see if they pass the main lens.
 #[derive(Clone, Copy)]
 pub(super) enum BundleTarget<'a> {
-    /// One radiance.
+    /// One radiance for all rays.
     Plain(f64),
-    /// A board, or what is beside it.
+    /// Board and background.
     Board(&'a PlacedTarget),
 }
 
 impl BundleIntegral<'_> {
-    /// The mean over the rays of the light that each brings, times the area that it is drawn from, but 0 for those that dust
-    /// stops.
+    /// Returns the mean of the rays' light, each times the area that it is drawn from. Rays that dust blocks count as 0.
     pub fn light(self) -> f64 {
         Arch::new().dispatch(self)
     }
@@ -140,7 +139,7 @@ impl NullaryFnOnce for BundleIntegral<'_> {
 }
 
 impl Block {
-    /// Room for rays.
+    /// Creates a block without rays.
     pub fn new() -> Self {
         let none = [0.0; BLOCK];
         Self {
@@ -152,7 +151,7 @@ impl Block {
         }
     }
 
-    /// Rays from their places in a pixel.
+    /// Starts the rays from their points in a pixel.
     #[inline(always)]
     fn start(&mut self, points: &Points, bundle: &Bundle) {
         self.light = *points.share();
@@ -195,7 +194,8 @@ impl Block {
         }
     }
 
-    /// Over the reach of a point spread the overlap of both openings changes much: every ray has its own.
+    /// Draws the rays from a separate region each. Within the reach of a point spread, the overlap of opening and pupil changes
+    /// too much for one common region.
     #[inline(always)]
     fn draw_each(&mut self, tracer: &Tracer, lens: &MicroLens, points: &Points) {
         for i in 0..BLOCK {
@@ -211,7 +211,7 @@ impl Block {
         self.draw(tracer, lens, draw, points, 0..BLOCK);
     }
 
-    /// Places on the micro-lens. Each kind of window has a loop of its own.
+    /// Draws the points on the micro-lens. Each kind of window has its own loop.
     #[inline(always)]
     fn draw(
         &mut self,
@@ -242,7 +242,7 @@ impl Block {
         }
     }
 
-    /// Places in a window of a disc with a radius and, of all of it, an area.
+    /// Draws points in a window of a disc of a given radius; `area` is the area of the whole window.
     #[inline(always)]
     fn place(
         &mut self,
@@ -259,7 +259,7 @@ impl Block {
         }
     }
 
-    /// The rays behind the micro-lens.
+    /// Computes the rays between micro-lens and main lens.
     #[inline(always)]
     fn refract(&mut self, tracer: &Tracer, lens: &MicroLens) {
         for i in 0..BLOCK {
@@ -269,7 +269,7 @@ impl Block {
         }
     }
 
-    /// Blocks the others.
+    /// Blocks the rays that do not pass.
     #[inline(always)]
     fn keep(&mut self, passes: impl Fn(&Ray) -> bool) {
         for i in 0..BLOCK {
@@ -295,7 +295,7 @@ impl Block {
         }
     }
 
-    /// Those that pass the lens see the board or what is beside it.
+    /// Multiplies the light of the rays that pass the lens by the radiance of board or background.
     #[inline(always)]
     fn see_board(&mut self, thin: &ThinMainLens, aim: &Aim, moves: bool, board: &PlacedTarget) {
         let (mut meeting, mut radiance) = ([0.0; BLOCK], [0.0; BLOCK]);
@@ -309,7 +309,7 @@ impl Block {
                 radiance[i] = board.radiance(&self.ray(i));
             }
         } else {
-            // A copy, so that both radiances stay in registers.
+            // A copy keeps both radiances in registers.
             let texture = board.texture;
             for i in 0..BLOCK {
                 radiance[i] = texture.radiance(board.place(&self.ray(i)));
@@ -343,7 +343,7 @@ impl Block {
         }
     }
 
-    /// The light that arrives, by the angle at which it does. Each law has a loop of its own.
+    /// Multiplies the light by the angular response at its angle of incidence. Each law has its own loop.
     #[inline(always)]
     fn fall_off(&mut self, law: FallOffLaw, distance: f64) {
         match law {

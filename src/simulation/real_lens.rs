@@ -1,10 +1,9 @@
 //! A real lens: rays are traced through all its surfaces, from the sensor outwards.
 //!
-//! Distortion, curvature of the field, spherical aberration and coma, the pupil's place and its aberration,
+//! Distortion, curvature of the field, spherical aberration and coma, the position of the pupil and its aberration,
 //! and vignetting by the rims of the lenses follow from refraction; nothing is taken from the model. The
-//! camera frame has its origin at the image-side principal point H', the sensor lies where it is, and
-//! objects are placed by their distance from the object-side principal plane H: as before a thin lens at
-//! H'.
+//! camera frame has its origin at the image-side principal point H', from which the sensor is placed. Objects are placed by
+//! their distance from the object-side principal plane H, as if they were in front of a thin lens at H'.
 
 use nalgebra::{Matrix2, Point3, Vector2, Vector3};
 use serde::Serialize;
@@ -15,59 +14,58 @@ use super::ray::Ray;
 use super::scene::PlacedTarget;
 use crate::error::{Error, Result};
 
-/// What a real lens comes to in terms of the model, for rays close to the axis or to the middle of the
-/// pupil: F and the pupil are those of the truth, the others are there to compare with.
+/// Figures of a real lens in terms of the model, for rays close to the axis or to the middle of the pupil. F and the pupil
+/// belong to the true camera; the others are for comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LensFigures {
-    /// F, mm.
+    /// Focal length F, mm.
     pub focal_length_mm: f64,
-    /// z of the object-side principal plane, from the image-side one, mm: objects are placed by their
-    /// distance from it.
+    /// z of the object-side principal plane from the image-side one, mm. Object distances count from the object-side plane.
     pub object_side_principal_mm: f64,
-    /// z of the entrance pupil, mm, in the frame of the poses: from the object-side principal plane.
+    /// z of the entrance pupil from the object-side principal plane, mm: in the frame of the poses.
     pub entrance_pupil_mm: f64,
-    /// e_z, mm.
+    /// z of the exit pupil, e_z, mm.
     pub exit_pupil_mm: f64,
-    /// p = 1 + e_z/F.
+    /// Pupil magnification p = 1 + e_z/F.
     pub pupil_magnification: f64,
-    /// Distance of the object that the following hold for, mm.
+    /// Distance of the object to which the following figures apply, mm.
     pub object_mm: f64,
-    /// κ + κ_m |m| close to the axis, 1/mm: the mean of both directions.
+    /// Field curvature κ + κ_m|M| close to the axis, 1/mm: the mean of the tangential and the sagittal one.
     pub field_curvature_per_mm: f64,
-    /// κ_m, 1/mm: how that grows with |m|.
+    /// Growth κ_m of the field curvature with |M|, 1/mm.
     pub field_curvature_growth_per_mm: f64,
-    /// Q₁ close to the axis, mm⁻².
+    /// Radial distortion Q₁ close to the axis, mm⁻².
     pub q1_per_mm2: f64,
 }
 
-/// One surface as a ray from the sensor meets it.
+/// One surface, as a ray from the sensor meets it.
 #[derive(Debug, Clone, Copy)]
 struct Interface {
     /// z of the vertex, camera frame, mm.
     z: f64,
     /// Curvature, 1/mm: positive if the centre lies towards the scene.
     curvature: f64,
-    /// Refractive index on the side of the sensor over that on the side of the scene.
+    /// Refractive index on the sensor side over that on the scene side.
     ratio: f64,
     /// Square of the radius of the opening, mm².
     opening2: f64,
-    /// The stop bends no ray.
+    /// True for the stop, which does not refract rays.
     is_stop: bool,
 }
 
-/// A lens at a focal length and an f-number.
+/// A real lens at a focal length and an f-number.
 #[derive(Debug, Clone)]
 pub(super) struct RealLens {
-    /// The last surface first.
+    /// Surfaces, from rear to front.
     interfaces: Vec<Interface>,
     /// Index of the stop in `interfaces`.
     stop: usize,
     focal_length: f64,
-    /// z of H.
+    /// z of the object-side principal plane H.
     object_side: f64,
-    /// z of the entrance pupil, from H.
+    /// z of the entrance pupil from H.
     entrance_pupil: f64,
-    /// The paraxial exit pupil.
+    /// Paraxial exit pupil.
     pub exit_pupil: Point3<f64>,
     pub exit_pupil_radius: f64,
 }
@@ -79,20 +77,20 @@ struct Inner {
     towards: Vector3<f64>,
 }
 
-/// Steps of numerical derivatives: mm across the array, and of slopes.
+/// Steps of numerical derivatives: across the array, mm; of slopes.
 const STEP_MM: f64 = 1e-3;
 const STEP: f64 = 1e-4;
-/// Height of the image off the axis at which figures are taken, in focal lengths: enough above rounding,
-/// and little of the next order.
+/// Height of the image off the axis at which figures are computed, in focal lengths: large against rounding errors, small
+/// enough that the next order is negligible.
 const FIGURES_HEIGHT: f64 = 0.04;
-/// Distance of the other object that shows how figures change, times that of the first.
+/// Ratio of the distances of the two objects from which the growth of the field curvature is computed.
 const FIGURES_FURTHER: f64 = 1.1;
-/// Newton's method ends here, mm at the stop or at the object.
+/// Largest miss at which Newton's method ends, mm at the stop or at the object.
 const FOUND_MM: f64 = 1e-9;
 const NEWTON_STEPS: usize = 20;
 
 impl RealLens {
-    /// The lens scaled to a focal length, with the entrance pupil F/N.
+    /// Creates the lens, scaled to a focal length, with the entrance pupil F/N.
     pub fn new(prescription: &Prescription, focal_length: f64, f_number: f64) -> Result<Self> {
         let paraxial = Paraxial::of(prescription)?;
         let scale = focal_length / paraxial.focal_length;
@@ -133,12 +131,12 @@ impl RealLens {
         })
     }
 
-    /// z of the last vertex, the one nearest to the array.
+    /// Returns z of the last vertex, which is the nearest to the array.
     pub fn last_vertex_z(&self) -> f64 {
         self.interfaces[0].z
     }
 
-    /// Distance that an object needs from H to lie in front of the lens.
+    /// Returns the distance from H beyond which an object lies in front of the lens.
     pub fn nearest_object(&self) -> f64 {
         let front = self.interfaces.iter().map(|surface| surface.z).fold(f64::MIN, f64::max);
         front - self.object_side
@@ -147,7 +145,7 @@ impl RealLens {
     /// Traces a ray through some of the surfaces; `None` if it misses one, is totally reflected, or (with
     /// `CLEAR`) is blocked by an opening.
     ///
-    /// A sphere of curvature k with its vertex at the origin is k|x|² = 2z. Snell's law for unit vectors:
+    /// A sphere of curvature k with its vertex at the origin is k|x|² = 2z. Snell's law for unit vectors is
     /// d' = μd + (cos t − μ cos i) n, with cos²t = 1 − μ²(1 − cos²i).
     #[inline]
     fn through<const CLEAR: bool>(ray: &Ray, surfaces: &[Interface]) -> Option<Inner> {
@@ -156,7 +154,7 @@ impl RealLens {
         let mut at = ray.at_lens.push(0.0);
         for surface in surfaces {
             let k = surface.curvature;
-            // The point where it meets the plane of the vertex, seen from the vertex.
+            // The point where the ray meets the plane of the vertex, from the vertex.
             let start = at + towards * ((surface.z - at.z) / towards.z);
             let start = start.xy();
             let towards_center = towards.z - k * start.dot(&towards.xy());
@@ -188,19 +186,19 @@ impl RealLens {
         Some(Inner { at, towards })
     }
 
-    /// The ray in front of the lens, in the frame of the poses.
+    /// Returns the ray in front of the lens, in the frame of the poses.
     fn in_front(&self, inner: &Inner) -> Ray {
         let slope = inner.towards.xy() / inner.towards.z;
         Ray { at_lens: inner.at.xy() + slope * (self.object_side - inner.at.z), slope }
     }
 
-    /// The ray in front of the lens that belongs to one behind it; `None` if it is blocked.
+    /// Returns the ray in front of the lens that continues a ray behind it; `None` if it is blocked.
     #[inline]
     pub fn object_ray(&self, ray: &Ray) -> Option<Ray> {
         Self::through::<true>(ray, &self.interfaces).map(|inner| self.in_front(&inner))
     }
 
-    /// Whether a ray passes all openings.
+    /// Returns true if a ray passes all openings.
     #[inline]
     pub fn passes(&self, ray: &Ray) -> bool {
         Self::through::<true>(ray, &self.interfaces).is_some()
@@ -216,7 +214,7 @@ impl RealLens {
         }
     }
 
-    /// The slope of the ray from a point behind the lens through the middle of the stop.
+    /// Returns the slope of the ray from a point behind the lens through the middle of the stop.
     pub fn chief_slope(&self, from: &Point3<f64>) -> Option<Vector2<f64>> {
         let surfaces = &self.interfaces[..=self.stop];
         let at_stop = |slope: Vector2<f64>| {
@@ -225,9 +223,9 @@ impl RealLens {
         newton(slope_towards(from, &self.exit_pupil), &at_stop).map(|(slope, _)| slope)
     }
 
-    /// Where the light of an object point that passes near `from`, a point behind the lens, is focused:
-    /// the mean of the foci in both directions, on the ray through `from`. `near` is a guess. `None` if the
-    /// point is not beyond F, or no ray leads there.
+    /// Returns the focus of the light of an object point that passes near `from`, a point behind the lens: the mean of the
+    /// tangential and the sagittal focus, on the ray through `from`. `near` is a guess. `None` if the object point is not
+    /// beyond F, or no ray leads there.
     pub fn image_from(
         &self,
         point: &Point3<f64>,
@@ -245,21 +243,21 @@ impl RealLens {
         let by_place = jacobian(Vector2::zeros(), STEP_MM, &|off: Vector2<f64>| {
             miss(&(from + off.push(0.0)), slope)
         })?;
-        // Rays through `from` + δ that meet the point have slopes less by Tδ. With a focus w in front of
-        // `from`, T = 1/w in all directions.
+        // Rays through `from` + δ that meet the object point have slopes smaller by Tδ. If the focus lies w in front of `from`,
+        // T = 1/w in all directions.
         let turn = by_slope.try_inverse()? * by_place;
         let distance = 2.0 / turn.trace();
         distance.is_finite().then(|| from + slope.push(1.0) * distance)
     }
 
-    /// The image of an object point about the ray through the middle of the paraxial exit pupil.
+    /// Returns the image of an object point about the ray through the middle of the paraxial exit pupil.
     pub fn image_of(&self, point: &Point3<f64>) -> Option<Point3<f64>> {
         let magnification = self.focal_length / (self.focal_length - point.z);
         let ideal = Point3::from(point.coords * magnification);
         self.image_from(point, &ideal, &self.exit_pupil)
     }
 
-    /// What the lens comes to for objects at a distance.
+    /// Computes the figures of the lens for objects at a distance.
     pub fn figures(&self, object_mm: f64) -> Option<LensFigures> {
         let height = FIGURES_HEIGHT * self.focal_length;
         let magnification = |object_mm: f64| self.focal_length / (self.focal_length - object_mm);
@@ -286,8 +284,8 @@ impl RealLens {
         })
     }
 
-    /// Radius of a disc about the paraxial exit pupil that contains all rays which pass, from anywhere
-    /// within `radius` of the axis at `z`. Off the axis the pupil moves, grows and is cut.
+    /// Returns the radius of a disc about the paraxial exit pupil that contains all rays which pass, from anywhere
+    /// within `radius` of the axis at `z`. Off the axis the pupil moves, grows and is vignetted.
     pub fn reach(&self, radius: f64, z: f64) -> f64 {
         let step = self.exit_pupil_radius * REACH_STEP;
         let limit = 2.0 * self.exit_pupil_radius + REACH_FURTHER * self.focal_length;
@@ -295,7 +293,7 @@ impl RealLens {
         let passes = |field: u32, turn: u32, distance: f64| {
             let x = radius * f64::from(field) / f64::from(REACH_FIELDS - 1);
             let from = Point3::new(x, 0.0, z);
-            // One half is enough by symmetry.
+            // One half of the directions is enough by symmetry.
             let (sin, cos) =
                 (std::f64::consts::PI * f64::from(turn) / f64::from(REACH_TURNS - 1)).sin_cos();
             let aim = pupil + Vector3::new(cos, sin, 0.0) * distance;
@@ -315,15 +313,15 @@ impl RealLens {
     }
 }
 
-/// Resolution of the search for the reach of the pupil, in radii of the exit pupil; its margin in steps;
-/// where it begins, beyond the pupil's diameter, in focal lengths; places and directions.
+/// Search for the reach of the pupil: step, in radii of the exit pupil; margin, in steps; start beyond the pupil's diameter,
+/// in focal lengths; numbers of field points and of directions.
 const REACH_STEP: f64 = 0.02;
 const REACH_MARGIN: f64 = 2.0;
 const REACH_FURTHER: f64 = 0.05;
 const REACH_FIELDS: u32 = 9;
 const REACH_TURNS: u32 = 13;
 
-/// dx/dz, dy/dz from one point to another.
+/// Returns dx/dz and dy/dz from one point to another.
 fn slope_towards(from: &Point3<f64>, to: &Point3<f64>) -> Vector2<f64> {
     let way = to - from;
     way.xy() / way.z
@@ -331,14 +329,14 @@ fn slope_towards(from: &Point3<f64>, to: &Point3<f64>) -> Vector2<f64> {
 
 type Map<'a> = &'a dyn Fn(Vector2<f64>) -> Option<Vector2<f64>>;
 
-/// Derivatives of a map of the plane by central differences.
+/// Computes the derivatives of a map of the plane by central differences.
 fn jacobian(at: Vector2<f64>, step: f64, map: Map) -> Option<Matrix2<f64>> {
     let column =
         |axis: Vector2<f64>| Some((map(at + axis * step)? - map(at - axis * step)?) / (2.0 * step));
     Some(Matrix2::from_columns(&[column(Vector2::x())?, column(Vector2::y())?]))
 }
 
-/// The zero of a map of slopes to mm, and the derivatives there.
+/// Finds the zero of a map of slopes to mm, and the derivatives there.
 fn newton(start: Vector2<f64>, map: Map) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     let mut slope = start;
     for _ in 0..NEWTON_STEPS {

@@ -1,4 +1,4 @@
-//! Real lenses against figures from other programs, rays worked out by hand, and the thin lens.
+//! Tests of real lenses against figures of other programs, rays computed by hand, and the thin lens.
 
 use nalgebra::{Point3, Vector2, Vector3};
 
@@ -28,7 +28,7 @@ fn lens(settings: &Settings, f_number: f64) -> Lens {
     Lens::new(&settings.camera, settings.prescription.as_ref(), f_number).unwrap()
 }
 
-/// The figures of another program, places behind the first vertex; the last one lies at 77.967402.
+/// Figures of another program; positions are distances behind the first vertex. The last vertex is at 77.967402.
 #[test]
 fn the_double_gauss_has_its_published_figures() {
     let figures = Paraxial::of(&Prescription::named("double-gauss").unwrap()).unwrap();
@@ -45,7 +45,7 @@ fn the_double_gauss_has_its_published_figures() {
     assert!((figures.pupil_magnification - 1.1464).abs() < 5e-5);
 }
 
-/// Newton's equation for the pupils, which the paraxial trace does not know of: e_z = −F(1 − p).
+/// The pupils obey Newton's equation e_z = −F(1 − p), which the paraxial trace does not use.
 #[test]
 fn the_exit_pupil_obeys_newtons_equation() {
     for (name, sign) in [("double-gauss", 1.0), ("telephoto", -1.0)] {
@@ -56,16 +56,16 @@ fn the_exit_pupil_obeys_newtons_equation() {
     }
 }
 
-/// A plano-convex lens of index 1.5, R = 50 in front, 10 mm thick, its stop 5 mm before it: F = 100.
+/// Plano-convex lens of index 1.5, with R = 50 in front, 10 mm thick, its stop 5 mm in front of it: F = 100.
 const PLANO_CONVEX: &str = "surfaces = [
     { stop = true, thickness_mm = 5.0, semi_diameter_mm = 20.0 },
     { radius_mm = 50.0, thickness_mm = 10.0, index = 1.5, semi_diameter_mm = 20.0 },
     { semi_diameter_mm = 20.0 },
 ]";
 
-/// By hand: the ray leaves the sensor's side parallel to the axis, 10 mm off. The plane does not bend it.
+/// By hand: the ray comes from the sensor, parallel to the axis and 10 mm off it. The plane does not refract it.
 /// On the sphere sin i = 10/50 within the glass, sin t = 1.5 · 0.2 = 0.3 in air, so that it turns towards
-/// the axis by asin 0.3 − asin 0.2 = 0.304692654 − 0.201357921 = 0.103334733 (tan 0.103704). It leaves at
+/// the axis by asin 0.3 − asin 0.2 = 0.304692654 − 0.201357921 = 0.103334733 (tan 0.103704). It leaves the glass at
 /// 50 − √(50² − 10²) = 1.010205 behind the vertex. The front principal plane of a plano-convex lens is at
 /// its vertex, so that z in the frame of the poses counts from there.
 #[test]
@@ -85,14 +85,14 @@ fn a_ray_through_a_sphere_by_hand() {
     assert!(at_stop(13.0).is_some_and(|y| y < 12.5) && at_stop(14.5).is_none());
 }
 
-/// By hand: the image-side principal plane lies 10/1.5 mm in front of the plane, at z = 0, and a ray
-/// across a tilted glass plate is shifted only. Through the plane at 10 mm with the slope 0.2 the ray has
-/// sin 0.196116/1.5 = 0.130744 within the glass.
+/// By hand: the image-side principal plane lies 10/1.5 mm in front of the plane surface, at z = 0. A tilted glass plate only
+/// shifts a ray. A ray through the plane surface at 10 mm with the slope 0.2 has sin 0.196116/1.5 = 0.130744 within the
+/// glass.
 #[test]
 fn a_ray_through_a_plane_by_hand() {
     let lens = RealLens::new(&prescription(PLANO_CONVEX), 100.0, 4.0).unwrap();
     assert!((lens.last_vertex_z() + 10.0 / 1.5).abs() < 1e-12);
-    // Aimed at the vertex of the sphere, where it leaves as it came in: the axis is normal to both.
+    // The ray aims at the vertex of the sphere and leaves with its first slope: the axis is normal to both surfaces.
     let slope_inside = 0.130_744 / (1.0_f64 - 0.130_744 * 0.130_744).sqrt();
     let at_plane = -10.0 * slope_inside;
     let ray = Ray::from(&Point3::new(at_plane, 0.0, -10.0 / 1.5), Vector2::new(0.2, 0.0));
@@ -100,8 +100,8 @@ fn a_ray_through_a_plane_by_hand() {
     assert!((outer.at_lens.x).abs() < 1e-4 && (outer.slope.x - 0.2).abs() < 1e-5, "{outer:?}");
 }
 
-/// At F = 25.4 mm and an image distance of 29.2 mm, 3 mm off the axis: 0.058 mm in the plane of the axis
-/// and 0.049 mm across it, by an independent trace from the object's side.
+/// At F = 25.4 mm and an image distance of 29.2 mm, 3 mm off the axis, an independent trace from the object's side gives
+/// 0.058 mm in the plane of the axis and 0.049 mm across it.
 #[test]
 fn the_double_gauss_has_a_curved_field() {
     let lens = RealLens::new(&Prescription::named("double-gauss").unwrap(), 25.4, 4.0).unwrap();
@@ -118,7 +118,7 @@ fn the_double_gauss_has_a_curved_field() {
     assert!((figures.exit_pupil_mm - 25.4 * 0.1464).abs() < 1e-3, "{figures:?}");
 }
 
-/// Two weak surfaces close together with the stop between them are a thin lens, up to the third order of
+/// Two weak surfaces close together, with the stop between them, are a thin lens up to the third order of
 /// heights and slopes.
 #[test]
 fn a_very_thin_lens_is_the_thin_lens() {
@@ -144,8 +144,7 @@ fn a_very_thin_lens_is_the_thin_lens() {
     assert!((image.coords - thin).norm() < 1e-3, "{image} for {thin}");
 }
 
-/// No ray from anywhere on the array that the lens lets through comes from outside the disc that rays
-/// are drawn from.
+/// No ray from anywhere on the array that passes the lens comes from outside the disc that rays are drawn from.
 #[test]
 fn no_ray_that_passes_is_left_out() {
     for name in REAL {
@@ -156,7 +155,7 @@ fn no_ray_that_passes_is_left_out() {
             let z = -settings.camera.mla.lens_to_mla_mm;
             let half = corner_mm(&settings.camera);
             for (place, disc) in RaySets::new(2048, &Footprint::new(0.0)).set(0).points() {
-                // Every direction at every place, a third of them at the border.
+                // Every direction at every point; a third of the points are at the border.
                 let place = Vector2::from(place) * 2.0;
                 let place = place / place.amax().max(2.0 / 3.0);
                 let from = Point3::new(place.x * half.x, place.y * half.y, z);
@@ -173,19 +172,19 @@ fn no_ray_that_passes_is_left_out() {
     }
 }
 
-/// The blur of a point is an ellipse where the main lens is astigmatic: its radii differ from their mean by
-/// this at most.
+/// Bound on the difference of the blur radii from their mean, px: with an astigmatic main lens, the blur of a point is an
+/// ellipse.
 const ASTIGMATISM_PX: f64 = 0.5;
 
-/// The corner of the sensor, from the axis, mm.
+/// Returns the distance of the corner of the sensor from the axis, mm.
 fn corner_mm(camera: &PlenopticCamera) -> Vector2<f64> {
     let size = Vector2::new(f64::from(camera.sensor.width_px), f64::from(camera.sensor.height_px));
     size * (camera.sensor.pixel_size_mm / 2.0)
 }
 
 /// The ray from a pixel through the middle of a micro-lens ends in a point of the board, and the truth
-/// for that point is the pixel. Rays through the rim of the micro-lens end nearby: there the light of the
-/// point is spread as the truth says, but for aberrations within the micro-lens.
+/// for that point is the pixel. Rays through the rim of the micro-lens end nearby: the light of the
+/// point is spread there as the truth states, except for aberrations within the micro-lens.
 #[test]
 fn the_truth_of_a_point_is_where_its_rays_come_from() {
     for name in REAL {
@@ -212,7 +211,7 @@ fn the_truth_of_a_point_is_where_its_rays_come_from() {
             let depth = board.depth(&outer);
             let point = Point3::from(outer.at(depth).push(depth));
             let spot = tracer.spot(&point, lens.k, lens.l).unwrap();
-            // The tilt of the array moves the middle of the rim's rays a little.
+            // The tilt of the array moves the mean of the rays through the rim slightly.
             let miss = (spot.center_px - pixel).norm();
             assert!(miss < 5e-3, "{name} ({}, {}): {miss} px", lens.k, lens.l);
             assert!(spot.visible > 0.0);
@@ -223,7 +222,7 @@ fn the_truth_of_a_point_is_where_its_rays_come_from() {
                 let pixel = tracer.array.to_sensor(lens, on_lens, &image);
                 let ray = tracer.through(lens, on_lens, &local(&pixel));
                 let Passage::Seen(outer) = tracer.lens.follow(&ray, None, &board) else { continue };
-                // By how much the ray misses the point, seen on the sensor.
+                // Miss of the ray at the point, projected onto the sensor.
                 let off = outer.at(point.z) - point.xy().coords;
                 let by_main_lens = image.z / point.z;
                 let by_micro_lens = tracer.mla_to_sensor / (image.z - lens.center.z);
@@ -237,8 +236,8 @@ fn the_truth_of_a_point_is_where_its_rays_come_from() {
     }
 }
 
-/// Close to the axis the traced centres are those of the model with the paraxial pupil; at the border the
-/// pupil's aberration moves them by part of a pixel.
+/// Close to the axis, traced centres agree with the model with the paraxial pupil. At the border, the
+/// aberration of the pupil moves them by a fraction of a pixel.
 #[test]
 fn micro_images_of_a_real_lens_have_their_centres_by_its_pupil() {
     for name in REAL {
@@ -317,7 +316,7 @@ fn a_camera_cannot_contradict_its_lens() {
     }
 }
 
-/// Settings written out hold the surfaces, and are the same when read again.
+/// Settings written to a file hold the surfaces, and are the same when read again.
 #[test]
 fn written_settings_hold_their_lens() {
     let settings = settings("mini-telephoto");

@@ -1,4 +1,4 @@
-//! What real pixels and boards have: point spread, bent boards, boards that move.
+//! Tests of real pixels and boards: point spread, bent boards, moving boards.
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
@@ -9,7 +9,7 @@ use super::settings::Settings;
 use super::{Imperfections, Target, Tracer};
 use crate::image::Image;
 
-/// A preset with one micro-lens, seen by a small sensor.
+/// Returns a preset with one micro-lens and a small sensor.
 fn one_micro_lens(name: &str) -> Settings {
     let mut settings = Settings::preset(name, &[]).unwrap();
     let camera = &mut settings.camera;
@@ -21,7 +21,7 @@ fn one_micro_lens(name: &str) -> Settings {
     settings
 }
 
-/// All light of an image, its middle, and its variance along u, v and across both, px².
+/// Returns the total light of an image, its centroid, and its variances along u, along v and across both, px².
 fn moments(image: &Image) -> (f64, Vector2<f64>, [f64; 3]) {
     let sum = |of: &dyn Fn(f64, f64) -> f64| -> f64 {
         let places = (0..image.height).flat_map(|v| (0..image.width).map(move |u| (u, v)));
@@ -37,11 +37,11 @@ fn moments(image: &Image) -> (f64, Vector2<f64>, [f64; 3]) {
     (light, Vector2::new(u0, v0), square.map(|s| s / light))
 }
 
-/// The spot that a micro-lens makes of a white target has the variance σ² more along each axis, and all of
-/// its light.
+/// A point spread adds the variance σ² along each axis to the spot of a white target behind a micro-lens, and keeps all of its
+/// light.
 #[test]
 fn a_point_spread_widens_a_micro_image_by_its_variance() {
-    // 8192 rays for each of a few hundred pixels; the cut at 4σ takes 0.1 % of σ².
+    // 8192 rays for each of a few hundred pixels. The cut at 4σ removes 0.1 % of σ².
     const NOISE_PX2: f64 = 4e-3;
     for name in ["mini", "keplerian", "mini-double-gauss"] {
         let settings = one_micro_lens(name);
@@ -66,7 +66,7 @@ fn a_point_spread_widens_a_micro_image_by_its_variance() {
     }
 }
 
-/// Where all places that light is spread to have the same light, the spread changes nothing.
+/// The spread changes nothing where all points that light is spread to have the same light.
 #[test]
 fn a_point_spread_leaves_the_middle_of_a_wide_micro_image() {
     let settings = one_micro_lens("mini");
@@ -89,8 +89,7 @@ fn pose() -> Isometry3<f64> {
     Isometry3::new(Vector3::new(-9.0, -7.0, 78.0), Vector3::new(0.3, -0.2, 0.1))
 }
 
-/// From where the truth says that a corner is seen, the ray through the middle of the micro-lens ends in that
-/// corner of the bent board.
+/// The ray from a true feature through the middle of the micro-lens ends in the corner of the bent board.
 #[test]
 fn rays_from_true_features_end_in_the_corners_of_a_bent_board() {
     // A hundredth of a pixel is a thousandth of a millimetre on the board.
@@ -124,7 +123,8 @@ fn rays_from_true_features_end_in_the_corners_of_a_bent_board() {
     }
 }
 
-/// The print of a bent board ends at its corners, black and white by turns, and is as bright as its light.
+/// The print of a bent board has its edges at the corners, with black and white by turns, and the brightness of its
+/// illumination.
 #[test]
 fn a_bent_board_has_its_print_about_its_corners() {
     let settings = Settings::preset("mini", &[]).unwrap();
@@ -144,7 +144,7 @@ fn a_bent_board_has_its_print_about_its_corners() {
             let eta = (f64::from(row) + dy / target.square_mm) / half_y - 1.0;
             let light = 1.0 + 0.3 * xi - 0.2 * eta;
             let expected = if black { target.black } else { target.white } * light;
-            // The print is stretched by the aspect, 5 % of a fiftieth of a square.
+            // The aspect stretches the print by 5 % of a fiftieth of a square.
             let radiance = board.radiance(&ray);
             assert!((radiance / expected - 1.0).abs() < 1e-2, "{corner}: {radiance}, {expected}");
         }
@@ -161,21 +161,21 @@ fn a_board_bent_away_from_the_camera_is_rejected() {
     let target = Target { sag_mm: [1.0, 1.0], ..settings.target };
     let near = Isometry3::new(Vector3::new(-10.5, -6.0, 17.0), Vector3::zeros());
     assert!(PlacedTarget::new(&target, &near, 16.2).is_ok());
-    // Its ends bend towards the camera, into the focal length.
+    // The ends of the board bend towards the camera, into the focal length.
     let target = Target { sag_mm: [-1.0, -1.0], ..settings.target };
     let error = PlacedTarget::new(&target, &near, 16.2).unwrap_err().to_string();
     assert!(error.contains("within the focal length"), "{error}");
 }
 
-/// The truth of a board is where it is in the middle of its motion, and its light is spread evenly along its
-/// way: a twelfth of its square, less a 64th for eight moments.
+/// The truth of a board holds in the middle of its motion. Its light is spread evenly along its way, with the variance of a
+/// twelfth of the squared way, less a 64th for eight moments.
 #[test]
 fn a_board_that_moves_is_blurred_along_its_way() {
     let mut settings = one_micro_lens("mini");
     settings.rays = 4096;
-    // Small openings show all of the pupil over some pixels.
+    // Small openings show all of the pupil over several pixels.
     settings.imperfections.aperture_ratio = 0.3;
-    // A spot of white.
+    // The target is a white spot.
     let (columns, rows, square_mm) = (2, 2, 0.3);
     let (border_mm, white, black, background) = (0.0, 1.0, 0.0, 0.0);
     settings.target =

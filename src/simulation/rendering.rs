@@ -1,4 +1,4 @@
-//! Renders images: the light along all rays from the pixels through the micro-lenses.
+//! Rendering of images: the light along all rays from the pixels through the micro-lenses.
 
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
@@ -16,22 +16,22 @@ use super::window::Window;
 use crate::error::Result;
 use crate::image::Image;
 
-/// Tilt changes the outline of a micro-image by less than this fraction; testing a few pixels too
-/// many is cheap.
+/// Margin of the outline of a micro-image. Tilt changes the outline by less than this; testing a few pixels too many is
+/// cheap.
 const OUTLINE_MARGIN: f64 = 1.02;
 
-/// So many pixels side by side are asked together whether they see one radiance.
+/// Number of neighbouring pixels that are tested together for one radiance.
 const SIDE_BY_SIDE: usize = 8;
-/// On the board, rays do not reach further than the ends of the pixels and of the micro-lens together, times this, plus so many
-/// squares. (In perspective one side of a bundle reaches further than the other: by 40 % if the depth of the board changes by a
-/// third across it.)
+/// Bounds on the region of the board that a bundle reaches: the distances of the rays from the ends of the pixels and through
+/// the rim of the micro-lens, times this factor, plus a number of squares. (In perspective, one side of a bundle reaches
+/// further than the other: by 40 % if the depth of the board changes by a third across it.)
 const SURELY: f64 = 1.4;
 const SURELY_SQUARES: f64 = 0.01;
 
 impl Tracer {
-    /// Renders an image: irradiance of every pixel relative to [`Tracer::reference_irradiance`], from
+    /// Renders an image: the irradiance of every pixel relative to [`Tracer::reference_irradiance`], from
     /// `rays` rays for every pixel through every micro-lens that reaches it. `progress` is called after
-    /// every finished row. The same seed gives the same image, whatever the number of threads.
+    /// every finished row. The same seed gives the same image, for any number of threads.
     pub fn render(
         &self,
         scene: &Scene,
@@ -61,19 +61,20 @@ impl Tracer {
         Ok(Image { width, height, pixels })
     }
 
-    /// Centre and radius (px) of the disc that light through a micro-lens can reach.
+    /// Returns centre and radius (px) of the disc that light through a micro-lens can reach.
     pub(super) fn outline(&self, lens: &MicroLens) -> (Vector2<f64>, f64) {
         let center =
             self.array.to_pixel(&lens.center, &(self.lens.drawn.center - lens.center)).coords;
         (center, self.micro_image_radius_px(lens) * OUTLINE_MARGIN + self.pixel_reach_px())
     }
 
-    /// Largest distance from the middle of a pixel at which light would arrive that it records, px.
+    /// Returns the largest distance from the middle of a pixel at which light that it records would arrive without point
+    /// spread, px.
     fn pixel_reach_px(&self) -> f64 {
         half_width_px(self.point_spread_px) * std::f64::consts::SQRT_2
     }
 
-    /// For every row of the image the micro-lenses that reach it, in order.
+    /// Returns, for every row of the image, the micro-lenses that reach it, in order.
     fn micro_lenses_by_row(&self) -> Vec<Vec<usize>> {
         let height = self.sensor().height_px as usize;
         let mut rows = vec![Vec::new(); height];
@@ -86,7 +87,7 @@ impl Tracer {
         rows
     }
 
-    /// Adds the light that comes through micro-lens `i` to the pixels of row `v`.
+    /// Adds the light through micro-lens `i` to the pixels of row `v`.
     fn expose(
         &self,
         i: usize,
@@ -134,7 +135,7 @@ impl Tracer {
         }
     }
 
-    /// The ray from a place in the image, px, through one on a micro-lens, local, to the main lens.
+    /// Returns the ray from a point of the image, px, through a point on a micro-lens, local, to the main lens.
     pub(super) fn between(
         &self,
         lens: &MicroLens,
@@ -145,9 +146,9 @@ impl Tracer {
         self.through(lens, on_lens, &pixel)
     }
 
-    /// What all rays see that lead from `pixels` pixels side by side, whose middle is `middle`, through a micro-lens and a thin
-    /// main lens, if that surely is one radiance: that of a square, of the border or of the background of a flat board. `aim` is
-    /// that of the ray from the middle of the pixels through that of the micro-lens.
+    /// Returns the radiance that all rays from `pixels` neighbouring pixels, with the middle `middle`, see through a micro-lens
+    /// and a thin main lens, if they certainly see one square, the border or the background of a flat board; `None` otherwise.
+    /// `aim` belongs to the ray from the middle of the pixels through the middle of the micro-lens.
     pub(super) fn plain(
         &self,
         lens: &MicroLens,
@@ -179,8 +180,8 @@ impl Tracer {
         board.texture.radiance_between(&(at - reach), &(at + reach))
     }
 
-    /// The rays between a pixel and the pupil through one micro-lens; `None` if there are none. The search for
-    /// their aim starts from that of a ray nearby, if there is one.
+    /// Returns the rays between a pixel and the pupil through one micro-lens; `None` if there are none. The search for
+    /// their aim starts from the aim of a nearby ray, if given.
     pub(super) fn bundle(
         &self,
         lens: &MicroLens,
@@ -193,7 +194,7 @@ impl Tracer {
         let pixel = array.local(lens, &array.on_sensor(u as f64, v as f64));
         let draw = self.draw(lens, &pixel, self.pixel_reach_px())?;
         let aim = board.and_then(|board| {
-            // The ray through the middle of the projected pupil, or the nearest point of the opening.
+            // The ray through the middle of the projected pupil, or through the nearest point of the opening.
             let within = (array.opening_radius / draw.middle.norm()).min(1.0);
             let ray = self.through(lens, draw.middle * within, &pixel);
             self.lens.aim(&ray, board, nearby)
@@ -208,8 +209,8 @@ impl Tracer {
         })
     }
 
-    /// Where rays are drawn to all places within a reach of one on the sensor (local); `None` if no ray
-    /// through the micro-lens leads there.
+    /// Returns the region from which rays are drawn to all points within a distance of a point on the sensor (local); `None` if
+    /// no ray through the micro-lens leads there.
     #[inline]
     pub(super) fn draw(
         &self,
@@ -222,7 +223,7 @@ impl Tracer {
         let pupil = array.local(lens, &drawn.center);
         let (to_sensor, to_pupil) = (-pixel.z, pupil.z);
         let demagnification = lens.demagnification(to_sensor, to_pupil);
-        // All in the plane of the micro-lens, times the demagnification, which may be 0.
+        // All lengths are in the plane of the micro-lens, times the demagnification, which may be 0.
         let place = pupil.xy() + pixel.xy() * (to_pupil / to_sensor);
         let stop = array.opening_radius * demagnification.abs();
         let pixel_reach = reach_px * array.pixel_size * to_pupil / to_sensor;
@@ -232,7 +233,7 @@ impl Tracer {
         let on_opening = stop <= drawn.radius;
         let radius =
             if on_opening { array.opening_radius } else { drawn.radius / demagnification.abs() };
-        // The other disc, in units of the one that rays are drawn from.
+        // The other disc, in units of the disc that rays are drawn from.
         let window = if on_opening {
             let reach = (drawn.radius + pixel_reach) * OUTLINE_MARGIN;
             Window::about(place / (demagnification * array.opening_radius), reach / stop)
@@ -246,7 +247,7 @@ impl Tracer {
         Some(Draw { on_opening, window, area, middle })
     }
 
-    /// The ray from a point of the sensor through `on_lens` (both local) to the main lens.
+    /// Returns the ray from a point of the sensor through `on_lens` (both local) to the main lens.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub(super) fn through(
@@ -255,7 +256,7 @@ impl Tracer {
         on_lens: Vector2<f64>,
         pixel: &Vector3<f64>,
     ) -> Ray {
-        // It comes from the pixel, and the lens takes x/f off its slopes.
+        // The ray comes from the pixel; the lens subtracts x/f from its slopes.
         let outer = (pixel.xy() - on_lens) * pixel.z.recip() - on_lens * lens.power;
         let axes = &self.array.axes;
         let along =
@@ -266,8 +267,8 @@ impl Tracer {
         Ray { at_lens: Vector2::new(on_plane(0), on_plane(1)) - slope * on_plane(2), slope }
     }
 
-    /// Where the ray from a point of the sensor crosses the micro-lens that arrives at `aim`, from the middle of the
-    /// opening that rays are drawn from.
+    /// Returns the point where the ray from a point of the sensor to `aim` crosses the micro-lens. `aim` counts from the middle
+    /// of the opening that rays are drawn from.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub(super) fn towards_pupil(
@@ -287,7 +288,7 @@ impl Tracer {
     }
 }
 
-/// Integers between two positions, limited to 0 up to `count`.
+/// Returns the integers between two positions, limited to 0 up to `count`.
 fn pixels_between(low: f64, high: f64, count: usize) -> std::ops::Range<usize> {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // saturating, and cut below
     let (low, high) = (low.ceil().max(0.0) as usize, (high.floor() + 1.0).max(0.0) as usize);

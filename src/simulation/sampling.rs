@@ -1,21 +1,21 @@
-//! Where the rays of a pixel go: low-discrepancy points over the pixel and a disc.
+//! The rays of a pixel: low-discrepancy points over the pixel and a disc.
 
 use nalgebra::Vector2;
 use sobol_burley::sample;
 
 use super::spread::Footprint;
 
-/// Rays that are traced side by side.
+/// Number of rays that are traced side by side.
 pub(super) const BLOCK: usize = 32;
 
-/// Some rays: positions from the middle of the pixel (±½ px, and more with a point spread), and in the
+/// A block of rays: positions from the middle of the pixel (±½ px, and more with a point spread), and in the
 /// square from −1 to 1, which is also mapped onto the unit disc.
 #[derive(Debug)]
 struct PointBlock {
     pixel: [[f64; BLOCK]; 2],
     square: [[f64; BLOCK]; 2],
     disc: [[f64; BLOCK]; 2],
-    /// 1, but 0 where there is no further ray.
+    /// Weights of the rays: 1, or 0 beyond the last ray of the set.
     share: [f64; BLOCK],
 }
 
@@ -29,43 +29,43 @@ pub(super) struct Points<'a> {
 
 #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
 impl Points<'_> {
-    /// Where in the pixel ray `i` arrives.
+    /// Returns the position of ray `i` in the pixel.
     #[inline(always)]
     pub fn pixel(&self, i: usize) -> [f64; 2] {
         let ([x, y], [sign_x, sign_y, ..]) = (&self.block.pixel, self.signs);
         [x[i] * sign_x, y[i] * sign_y]
     }
 
-    /// Where it comes from in the square.
+    /// Returns the position of ray `i` in the square.
     #[inline(always)]
     pub fn square(&self, i: usize) -> Vector2<f64> {
         let ([x, y], [.., sign_x, sign_y]) = (&self.block.square, self.signs);
         Vector2::new(x[i] * sign_x, y[i] * sign_y)
     }
 
-    /// Where on the disc.
+    /// Returns the position of ray `i` on the disc.
     #[inline(always)]
     pub fn disc(&self, i: usize) -> Vector2<f64> {
         let ([x, y], [.., sign_x, sign_y]) = (&self.block.disc, self.signs);
         Vector2::new(x[i] * sign_x, y[i] * sign_y)
     }
 
-    /// 1, but 0 where there is no further ray.
+    /// Returns the weights of the rays: 1, or 0 beyond the last ray of the set.
     #[inline(always)]
     pub fn share(&self) -> &[f64; BLOCK] {
         &self.block.share
     }
 }
 
-/// Many differently scrambled sets of points. Every pixel of every micro-lens takes a random one, so
-/// that the error of a set becomes noise rather than a pattern.
+/// Many differently scrambled sets of points. Every pixel of every micro-lens takes a random set, so that the error of a set
+/// becomes noise rather than a pattern.
 #[derive(Debug)]
 pub(super) struct RaySets {
     rays: usize,
     sets: Vec<Vec<PointBlock>>,
 }
 
-/// One of them, or a mirror image.
+/// One of the sets, or its mirror image.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RaySet<'a> {
     rays: usize,
@@ -74,17 +74,17 @@ pub(super) struct RaySet<'a> {
     signs: [f64; 4],
 }
 
-/// Each set comes with all its mirror images, in the axes of the pixel and of the disc, so that the sets have no error in
-/// common: with 256 others images were 0.001 px from their place, all alike.
+/// Number of mirror images of each set, in the axes of the pixel and of the disc. With all of them, the sets have no common
+/// error. With 256 independent sets instead, images would be displaced by 0.001 px, all alike.
 const MIRRORED: u64 = 16;
-/// Enough sets that neighbouring pixels rarely share one, and that their second moments, which mirror images share, have little
-/// error in common: those of 16 sets of 64 points are 0.4 % too small, and m of `mini` was 0.7 % off.
+/// Largest number of sets. Neighbouring pixels then rarely share one, and the second moments of the sets, which mirror images
+/// share, have little common error: with 16 sets of 64 points they are 0.4 % too small, and m of `mini` is 0.7 % off.
 const SETS: u32 = 256;
-/// If the sets are long, fewer are enough: each has little error to repeat.
+/// Largest number of points in all sets. Long sets have little error to repeat, so fewer are enough.
 const POINTS: u32 = 1 << 14;
 
 impl RaySets {
-    /// Sets of `rays` points for pixels with a footprint.
+    /// Creates sets of `rays` points for pixels with a footprint.
     pub fn new(rays: u32, footprint: &Footprint) -> Self {
         let block = |set: u32, first: u32| {
             let none = [[0.0; BLOCK]; 2];
@@ -108,7 +108,7 @@ impl RaySets {
         Self { rays: rays as usize, sets: (0..sets).map(set).collect() }
     }
 
-    /// The set that belongs to a hash.
+    /// Returns the set that belongs to a hash.
     #[inline]
     #[allow(clippy::cast_possible_truncation)] // below their number
     pub fn set(&self, hash: u64) -> RaySet<'_> {
@@ -124,24 +124,24 @@ impl RaySets {
 }
 
 impl RaySet<'_> {
-    /// Number of rays.
+    /// Returns the number of rays.
     pub fn rays(&self) -> usize {
         self.rays
     }
 
-    /// Number of blocks.
+    /// Returns the number of blocks.
     pub fn blocks(&self) -> usize {
         self.blocks.len()
     }
 
-    /// Some of the rays.
+    /// Returns a block of rays.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn block(&self, index: usize) -> Points<'_> {
         Points { block: &self.blocks[index], signs: self.signs }
     }
 
-    /// All of them: the places in the pixel and on the disc.
+    /// Returns all rays: their positions in the pixel and on the disc.
     #[cfg(test)]
     pub fn points(&self) -> Vec<([f64; 2], [f64; 2])> {
         let of = |index: usize| {
@@ -154,8 +154,8 @@ impl RaySet<'_> {
     }
 }
 
-/// Area-preserving map of the square from −1 to 1 onto the unit disc (Shirley and Chiu's concentric map);
-/// neighbours stay neighbours.
+/// Maps the square from −1 to 1 onto the unit disc. The map preserves areas (Shirley and Chiu's concentric map) and keeps
+/// neighbours together.
 fn disc(x: f64, y: f64) -> [f64; 2] {
     let eighth = std::f64::consts::FRAC_PI_4;
     let (radius, angle) = if x.abs() > y.abs() {
@@ -168,7 +168,7 @@ fn disc(x: f64, y: f64) -> [f64; 2] {
     [radius * angle.cos(), radius * angle.sin()]
 }
 
-/// A well-mixed number from several (the finaliser of SplitMix64, chained).
+/// Mixes several numbers into one (the finaliser of SplitMix64, chained).
 #[inline]
 pub(super) fn hash(values: [u64; 4]) -> u64 {
     values.iter().fold(0x9e37_79b9_7f4a_7c15, |state, &value| {
@@ -223,7 +223,7 @@ mod tests {
         }
     }
 
-    /// Numbers of rays that do not fill a block are numbers of rays.
+    /// A set may have any number of rays, also one that does not fill a block.
     #[test]
     fn a_block_may_have_fewer_rays() {
         for rays in [1, 8, 13] {

@@ -1,4 +1,4 @@
-//! What the camera looks at.
+//! The scene in front of the camera.
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 
@@ -7,12 +7,12 @@ use super::ray::Ray;
 use super::target::{Surface, Target};
 use crate::error::{Error, Result};
 
-/// What an image shows.
+/// The scene that an image shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Scene {
-    /// A white target of radiance 1 that fills the view.
+    /// White target of radiance 1 that fills the view.
     White,
-    /// A checkerboard at `camera_from_board`.
+    /// Checkerboard at `camera_from_board`.
     Board(Target, Isometry3<f64>),
 }
 
@@ -34,9 +34,9 @@ pub(super) struct PlacedTarget {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BoardPlane {
     normal: Vector3<f64>,
-    /// Points X of the plane have normal · X = `offset`.
+    /// Offset of the plane: its points X have normal · X = `offset`.
     offset: f64,
-    /// Its image behind the lens: points x with `image_normal · x = offset`.
+    /// Normal of the image of the plane behind the lens, whose points x have `image_normal · x = offset`.
     image_normal: Vector3<f64>,
     focal_length: f64,
 }
@@ -48,8 +48,8 @@ struct Bent {
     rotation: UnitQuaternion<f64>,
 }
 
-/// How far image points lie from those of an ideal lens: `across` to the side, and along z by `along` +
-/// `gradient` · x where the ideal point is x, which comes to `nearer` for this one; mm.
+/// Shift of image points from the points x of an ideal lens, mm: `across` to the side, and `along` + `gradient` · x along z.
+/// For the point about which it is linearised, the shift along z is `nearer`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ImageShift {
     pub across: Vector2<f64>,
@@ -59,13 +59,13 @@ pub(super) struct ImageShift {
 }
 
 impl ImageShift {
-    /// That of an ideal lens.
+    /// Returns the shift of an ideal lens.
     pub fn none() -> Self {
         Self { across: Vector2::zeros(), along: 0.0, gradient: Vector2::zeros(), nearer: 0.0 }
     }
 }
 
-/// The image of a board behind the lens about one of its points: points x, moved back by `shift`, with
+/// The image of a board behind the lens, about one of its points. Its points x, moved back by `shift`, have
 /// `across` · x + `along` z = `offset`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ImagePlane {
@@ -78,7 +78,7 @@ pub(super) struct ImagePlane {
 }
 
 impl ImagePlane {
-    /// z where a ray behind the lens meets it, and whether the ray leads to the board.
+    /// Returns z where a ray behind the lens meets the image plane, and true if the ray leads to the board.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn z(&self, ray: &Ray) -> (f64, bool) {
@@ -91,7 +91,7 @@ impl ImagePlane {
 }
 
 impl PlacedTarget {
-    /// An error unless the whole sheet lies beyond the focal length and shows its front.
+    /// Places the board. Fails unless the whole sheet lies beyond the focal length and shows its front.
     pub fn new(target: &Target, pose: &Isometry3<f64>, focal_length: f64) -> Result<Self> {
         target.validate()?;
         let normal = pose.rotation * Vector3::z();
@@ -138,7 +138,7 @@ impl PlacedTarget {
         })
     }
 
-    /// An error if the sheet comes nearer than the front of the lens.
+    /// Fails if the sheet comes nearer than the front of the lens.
     pub fn check_in_front(&self, front: f64) -> Result<()> {
         if self.nearest > front {
             return Ok(());
@@ -150,17 +150,17 @@ impl PlacedTarget {
         )))
     }
 
-    /// The plane of the board, that of a flat one.
+    /// Returns the plane of the board; for a bent board, the plane without its bend.
     pub fn plane(&self) -> &BoardPlane {
         &self.plane
     }
 
-    /// Whether its surface is another than its plane.
+    /// Returns true if the board is bent.
     pub fn is_bent(&self) -> bool {
         self.bent.is_some()
     }
 
-    /// The plane that touches a bent board where a ray in front of the lens meets it; `None` for a flat board,
+    /// Returns the plane that touches a bent board where a ray in front of the lens meets it; `None` for a flat board,
     /// or if the ray misses it.
     pub fn tangent(&self, ray: &Ray) -> Option<BoardPlane> {
         let bent = self.bent.as_ref()?;
@@ -171,7 +171,7 @@ impl PlacedTarget {
         Some(BoardPlane::new(normal, offset, self.plane.focal_length))
     }
 
-    /// z where a ray in front of the lens meets the plane of the board.
+    /// Returns z where a ray in front of the lens meets the plane of the board.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn depth(&self, ray: &Ray) -> f64 {
@@ -180,7 +180,7 @@ impl PlacedTarget {
         across / (normal.x * ray.slope.x + normal.y * ray.slope.y + normal.z)
     }
 
-    /// Where a ray in front of the lens meets the plane of the board, from corner 0.
+    /// Returns the point where a ray in front of the lens meets the plane of the board, from corner 0.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     fn on_plane(&self, ray: &Ray) -> Vector3<f64> {
@@ -189,7 +189,7 @@ impl PlacedTarget {
         Vector3::new(at.x - self.origin.x, at.y - self.origin.y, depth - self.origin.z)
     }
 
-    /// Where a ray in front of the lens meets the board, camera frame; `None` if it misses a bent one.
+    /// Returns the point where a ray in front of the lens meets the board, camera frame; `None` if it misses a bent board.
     #[cfg(test)]
     pub fn hit(&self, ray: &Ray) -> Option<Point3<f64>> {
         let hit = self.on_plane(ray);
@@ -197,14 +197,14 @@ impl PlacedTarget {
         Some(self.origin + hit)
     }
 
-    /// Radiance along a ray in front of the lens.
+    /// Returns the radiance along a ray in front of the lens.
     pub fn radiance(&self, ray: &Ray) -> f64 {
         let Some(bent) = &self.bent else { return self.texture.radiance(self.place(ray)) };
         let hit = bent.meet(self.on_plane(ray), ray);
         hit.map_or(self.texture.background, |hit| self.texture.radiance(self.in_squares(&hit)))
     }
 
-    /// Where a ray in front of the lens meets the plane of the board: see [`BoardTexture`].
+    /// Returns the position on the sheet where a ray in front of the lens meets the plane of the board, see [`BoardTexture`].
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn place(&self, ray: &Ray) -> Vector2<f64> {
@@ -227,7 +227,7 @@ impl BoardPlane {
         Self { normal, offset, image_normal, focal_length }
     }
 
-    /// Its image where distortion and the curvature of the field move it by `shift`.
+    /// Returns the image of the plane, where distortion and field curvature move it by `shift`.
     pub fn image_plane(&self, shift: &ImageShift) -> ImagePlane {
         ImagePlane {
             shift: shift.across,
@@ -240,8 +240,8 @@ impl BoardPlane {
 }
 
 impl Bent {
-    /// Where a ray in front of the lens meets the surface, from corner 0, if it meets the plane of the board
-    /// at `on_plane`.
+    /// Returns the point where a ray in front of the lens meets the surface, from corner 0, if the ray meets the plane of the
+    /// board at `on_plane`.
     fn meet(&self, on_plane: Vector3<f64>, ray: &Ray) -> Option<Vector3<f64>> {
         let to_board = self.rotation.inverse();
         let towards = to_board * ray.slope.push(1.0);

@@ -10,12 +10,12 @@ use super::sampling::hash;
 use crate::error::{Error, Result};
 use crate::image::{Color, Image, RawImage, Samples};
 
-/// Seed of the places of hot pixels, so that they change nothing else.
+/// Seed of the positions of hot pixels, which changes nothing else.
 const HOT: u64 = 0x0068_6f74;
 
 impl Imaging {
     /// Reads out an image of irradiance relative to the reference, see
-    /// [`Tracer::render`](super::Tracer::render). The same `seed` gives the same noise, the same
+    /// [`Tracer::render`](super::Tracer::render). The same `seed` gives the same noise, and the same
     /// `sensor_seed` the same hot pixels.
     pub fn read_out(&self, irradiance: &Image, sensor_seed: u64, seed: u64) -> Result<RawImage> {
         self.validate()?;
@@ -28,7 +28,7 @@ impl Imaging {
         let read_noise = Normal::new(0.0, self.read_noise_electrons)
             .map_err(|e| Error::invalid(format!("the read noise: {e}")))?;
         samples.par_chunks_mut(per_row).enumerate().for_each(|(v, row)| {
-            // One random stream for each row, so that the number of threads does not matter.
+            // Each row has its own random stream, so that the number of threads has no effect.
             let mut random = StdRng::seed_from_u64(hash([seed, v as u64, 0, 1]));
             for (u, pixel) in row.chunks_mut(self.color.samples()).enumerate() {
                 for (channel, sample) in pixel.iter_mut().enumerate() {
@@ -50,7 +50,7 @@ impl Imaging {
         Ok(RawImage { width, height, color: self.color, samples })
     }
 
-    /// Mean signal of a channel of a pixel, as a fraction of the full well, without its neighbours.
+    /// Returns the mean signal of a channel of a pixel, as a fraction of the full well, without crosstalk.
     fn signal(&self, irradiance: &Image, [u, v]: [usize; 2], channel: usize) -> f64 {
         let response = match self.color {
             Color::Grey => 1.0,
@@ -60,7 +60,7 @@ impl Imaging {
         f64::from(irradiance.at(u, v)) * self.exposure * response
     }
 
-    /// The same with what the pixel gives to its neighbours and gets from them.
+    /// Returns the mean signal of a channel of a pixel, as a fraction of the full well, with crosstalk.
     fn mixed_signal(&self, irradiance: &Image, [u, v]: [usize; 2], channel: usize) -> f64 {
         let own = self.signal(irradiance, [u, v], channel);
         if self.crosstalk == 0.0 {
@@ -73,7 +73,7 @@ impl Imaging {
         own + self.crosstalk * more.sum::<f64>()
     }
 
-    /// One sample for a mean signal given as a fraction of the full well.
+    /// Draws one sample for a mean signal given as a fraction of the full well.
     fn sample(&self, signal: f64, read_noise: Normal<f64>, random: &mut StdRng) -> u16 {
         let well = self.full_well_electrons;
         let noisy = if well.is_finite() {
@@ -98,7 +98,7 @@ impl Imaging {
         sample
     }
 
-    /// The hot ones of a number of pixels.
+    /// Draws the hot ones among a number of pixels.
     fn hot(&self, pixels: usize, seed: u64) -> Result<Vec<usize>> {
         if self.hot_pixels > pixels {
             return Err(Error::invalid(format!(
@@ -159,7 +159,7 @@ mod tests {
         assert_eq!(value(Imaging { exposure: 1.0, gain: 4.0, ..ideal }, 0.5), 255);
     }
 
-    /// A full pixel still has the read noise of its amplifier; the strongest light gives white.
+    /// A full pixel has the read noise of its amplifier; the strongest light gives white.
     #[test]
     fn full_pixels_keep_their_read_noise() {
         let imaging = Imaging {
@@ -201,7 +201,7 @@ mod tests {
         Imaging { full_well_electrons: f64::INFINITY, exposure: 1.0, ..Imaging::default() }
     }
 
-    /// One bright pixel in the middle of 5 × 3, and one in a corner.
+    /// The image has 5 × 3 pixels, of which one in the middle and one in a corner are bright.
     #[test]
     fn neighbours_share_a_signal_and_lose_none_of_it() {
         let mut image = Image { width: 5, height: 3, pixels: vec![0.0; 15] };
@@ -237,15 +237,15 @@ mod tests {
         assert_eq!(sample(Imaging { gain: 2.0, ..black }, 0.1), 67);
         let gamma = Imaging { gamma: 2.0, ..ideal() };
         assert_eq!([sample(gamma, 0.0), sample(gamma, 0.36), sample(gamma, 2.0)], [0, 153, 255]);
-        // The roots of 0.09 and 0.36.
+        // The samples are the square roots of 0.09 and 0.36.
         let both = Imaging { black_level: 0.09, ..gamma };
         assert_eq!([sample(both, 0.0), sample(both, 0.27)], [77, 153]);
-        // Of full scale, not of light: its root is 0.95.
+        // Saturation applies to full scale, not to light: its square root is 0.95.
         let full = Imaging { saturation: 0.9, bits: 16, ..gamma };
         assert_eq!([sample(full, 0.36), sample(full, 0.9)], [39_321, 58_982]);
     }
 
-    /// Without a black level half of the read noise is cut off.
+    /// Without a black level, half of the read noise would be cut off.
     #[test]
     fn a_black_level_keeps_the_read_noise_of_dark_pixels() {
         let imaging = Imaging {

@@ -1,4 +1,4 @@
-//! The settings of a simulated data set, as in a simulation file.
+//! The settings of a simulated data set, as they appear in a simulation file.
 
 use std::ops::RangeInclusive;
 
@@ -17,25 +17,25 @@ use crate::model::{Configuration, Datasheet, EdgeSpread, Noise, PlenopticCamera,
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// Rays for every pixel through every micro-lens that reaches it.
+    /// Number of rays for every pixel through every micro-lens that reaches it.
     pub rays: u32,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Focal length engraved on the main lens, mm: the value in the project file.
+    /// Focal length engraved on the main lens, mm, which the project file states.
     pub engraved_focal_length_mm: f64,
-    /// F-number of the boards that the project file states; the true one if left out.
+    /// F-number that the project file states for the boards; the true one if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub engraved_f_number: Option<f64>,
-    /// The true camera. The setting of its main lens is that of the images of boards.
+    /// True camera. Its main lens has the setting of the images of boards.
     pub camera: PlenopticCamera,
-    /// The surfaces of a real main lens, which is scaled to the camera's F; without them it is the thin
-    /// lens of the model. The camera's exit pupil is that of the prescription.
+    /// Surfaces of a real main lens, which is scaled to the camera's F. If left out, the main lens is the thin
+    /// lens of the model. The camera's exit pupil follows from the prescription.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prescription: Option<Prescription>,
     /// Departures from the ideal model.
     #[serde(default)]
     pub imperfections: Imperfections,
-    /// How images are read out.
+    /// Settings of the sensor.
     #[serde(default)]
     pub imaging: Imaging,
     /// White images for the pre-calibration.
@@ -44,7 +44,7 @@ pub struct Settings {
     pub target: Target,
     /// Boards at random poses.
     pub boards: Boards,
-    /// A board that moves along the optical axis.
+    /// Board that moves along the optical axis.
     pub translation: TranslationStage,
     /// Noise of the observations that are drawn from the truth.
     #[serde(default)]
@@ -57,18 +57,18 @@ pub struct Settings {
 pub struct WhiteImages {
     /// F-numbers that the project file states, √(2^AV).
     pub f_numbers: Vec<f64>,
-    /// By how much the true f-number of each image is larger, relative; none for no errors.
+    /// Relative excess of the true over the stated f-number, for each image; empty for no errors.
     #[serde(default)]
     pub stop_errors: Vec<f64>,
-    /// Exposure of these images, see [`Imaging::exposure`]; that of the boards if left out.
+    /// Exposure of these images, see [`Imaging::exposure`]; the exposure of the boards if left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure: Option<f64>,
-    /// Gain of these images; that of the boards if left out.
+    /// Gain of these images; the gain of the boards if left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain: Option<f64>,
 }
 
-/// Boards at random poses, most of each within view.
+/// Boards at random poses, each mostly in view.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Boards {
@@ -85,7 +85,7 @@ pub struct Boards {
     pub max_turn_deg: f64,
     /// Smallest fraction of the corners that lies in the image.
     pub min_in_view: f64,
-    /// How far the board moves during the exposure, px in the image of the main lens, in a random direction.
+    /// Motion of the board during the exposure, px in the image of the main lens, in a random direction.
     #[serde(default)]
     pub motion_px: f64,
 }
@@ -105,12 +105,12 @@ pub struct TranslationStage {
 const MAX_MICRO_LENSES: u64 = 1 << 20;
 const MAX_IMAGES: u64 = 1000;
 const F_NUMBERS: RangeInclusive<f64> = 0.1..=1000.0;
-/// A stop that is off by more is another one.
+/// Largest stop error. A stop that is off by more is a different stop.
 const MAX_STOP_ERROR: f64 = 0.3;
-/// A board that moves further is not seen.
+/// Largest motion of a board. A board that moves further is blurred beyond recognition.
 const MAX_MOTION_PX: f64 = 1000.0;
 
-/// An error if there are more images of one kind than can be simulated.
+/// Fails if there are more images of one kind than can be simulated.
 pub(super) fn check_images(count: usize) -> Result<()> {
     check_count("images of one kind", count as u64, MAX_IMAGES)
 }
@@ -125,7 +125,7 @@ fn check_count(what: &str, count: u64, limit: u64) -> Result<()> {
 }
 
 impl Settings {
-    /// An error that names the impossible setting.
+    /// Returns an error that names the impossible setting.
     pub fn validate(&self) -> Result<()> {
         check_rays(self.rays)?;
         self.camera.validate()?;
@@ -164,7 +164,7 @@ impl Settings {
         self.translation.validate()
     }
 
-    /// An error if the data set would not fit into memory, or an f-number is impossible.
+    /// Fails if the data set would not fit into memory, or an f-number is impossible.
     fn check_size(&self) -> Result<()> {
         let images = self.boards.calibration.max(self.boards.evaluation);
         let images = images.max(self.translation.images).max(self.white_images.f_numbers.len());
@@ -181,13 +181,13 @@ impl Settings {
         self.white_images.validate()
     }
 
-    /// True f-number of the images of boards.
+    /// Returns the true f-number of the images of boards.
     #[must_use]
     pub fn board_f_number(&self) -> f64 {
         self.camera.main_lens.setting.map_or(f64::NAN, |setting| setting.f_number)
     }
 
-    /// The datasheet that the maker of the camera would give.
+    /// Returns the datasheet that the maker of the camera would give.
     #[must_use]
     pub fn datasheet(&self) -> Datasheet {
         let camera = &self.camera;
@@ -205,7 +205,7 @@ impl Settings {
         }
     }
 
-    /// How white images for the pre-calibration are read out.
+    /// Returns the settings of the sensor for white images for the pre-calibration.
     #[must_use]
     pub fn white_imaging(&self) -> Imaging {
         let whites = &self.white_images;
@@ -216,7 +216,7 @@ impl Settings {
         }
     }
 
-    /// The camera at a true f-number.
+    /// Creates the tracer of the camera at a true f-number.
     pub fn tracer(&self, f_number: f64) -> Result<Tracer> {
         let lens = self.prescription.as_ref();
         Tracer::with_lens(&self.camera, lens, f_number, &self.imperfections, self.seed)
@@ -224,7 +224,7 @@ impl Settings {
 }
 
 impl WhiteImages {
-    /// The f-number that the project file states and the true one, of every image.
+    /// Returns the stated and the true f-number of every image.
     pub(super) fn stated_and_true(&self) -> impl Iterator<Item = (f64, f64)> {
         let errors = self.stop_errors.iter().copied().chain(std::iter::repeat(0.0));
         self.f_numbers.iter().zip(errors).map(|(&stated, error)| (stated, stated * (1.0 + error)))

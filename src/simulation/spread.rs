@@ -1,30 +1,29 @@
-//! Where the light that a pixel records would arrive without point spread.
+//! The points where the light that a pixel records would arrive without point spread.
 
-/// The point spread ends here, in standard deviations along each axis.
+/// Cut of the point spread, in standard deviations along each axis.
 const CUT: f64 = 4.0;
-/// Steps of the tabulated distribution: of one 500th of a pixel where σ is a pixel, and less for a smaller one.
+/// Steps of the tabulated distribution, each 1/455 px for σ = 1 px, and less for a smaller σ.
 const STEPS: u32 = 4096;
 
-/// How far from the middle of a pixel, along each axis, light would arrive that the pixel records: evenly over
-/// the pixel, and on top of it the offset of a Gaussian point spread, cut at 4σ.
+/// Distribution, along each axis, of the points where the light that a pixel records would arrive without point spread: a
+/// uniform distribution over the pixel, convolved with a Gaussian point spread that is cut at 4σ.
 ///
-/// Both together are one distribution, so that rays need no further random numbers: with them 64 rays would
-/// cover the pixel less evenly.
+/// Since it is one distribution, rays need no further random numbers, with which 64 rays would cover the pixel less evenly.
 #[derive(Debug, Clone)]
 pub(super) struct Footprint {
     half_px: f64,
-    /// The distribution function at steps from one end to the other; empty without point spread.
+    /// Distribution function at steps from one end to the other; empty without point spread.
     cumulative: Vec<f64>,
 }
 
 impl Footprint {
-    /// That of a point spread with a standard deviation along each axis, px.
+    /// Creates the footprint of a point spread with a standard deviation along each axis, px.
     pub fn new(point_spread_px: f64) -> Self {
         let half_px = half_width_px(point_spread_px);
         if point_spread_px == 0.0 {
             return Self { half_px, cumulative: Vec::new() };
         }
-        // The pixel and the point spread, one folded with the other.
+        // The pixel, convolved with the point spread.
         let density = |at: f64| {
             normal_within((at + 0.5) / point_spread_px)
                 - normal_within((at - 0.5) / point_spread_px)
@@ -41,7 +40,7 @@ impl Footprint {
         Self { half_px, cumulative }
     }
 
-    /// The place below which a part of the light arrives, px from the middle of the pixel.
+    /// Returns the position below which a fraction of the light arrives, px from the middle of the pixel.
     pub fn place(&self, part: f64) -> f64 {
         if self.cumulative.is_empty() {
             return part - 0.5;
@@ -54,18 +53,18 @@ impl Footprint {
     }
 }
 
-/// Half the width of the square from which a pixel records light, px.
+/// Returns half the width of the square from which a pixel records light, px.
 pub(super) fn half_width_px(point_spread_px: f64) -> f64 {
     0.5 + CUT * point_spread_px
 }
 
-/// Probability that a standard normal variable, cut at both ends, is smaller than this.
+/// Returns the probability that a standard normal variable, truncated at ±4, is below z.
 fn normal_within(z: f64) -> f64 {
     let tail = normal(-CUT);
     (normal(z.clamp(-CUT, CUT)) - tail) / (1.0 - 2.0 * tail)
 }
 
-/// Probability that a standard normal variable is smaller than this.
+/// Returns the probability that a standard normal variable is below z.
 fn normal(z: f64) -> f64 {
     0.5 * libm::erfc(-z / std::f64::consts::SQRT_2)
 }
@@ -82,7 +81,7 @@ mod tests {
         assert!((normal(-4.0) - 3.167_124e-5).abs() < 1e-11);
     }
 
-    /// 1/12 px² of the pixel and σ² of the point spread, 0.1 % less for the cut.
+    /// The variance is 1/12 px² of the pixel plus σ² of the point spread, less 0.1 % for the cut.
     #[test]
     fn a_footprint_has_the_variance_of_pixel_and_point_spread() {
         let parts = 20_000;

@@ -1,4 +1,4 @@
-//! The simulation as one stage: from settings to images, their truth, and observations drawn from it.
+//! The simulation as one stage: from settings to images, truth, and observations drawn from the truth.
 
 use super::data_set::{Content, DataSet, Shot};
 use super::real_lens::LensFigures;
@@ -17,7 +17,7 @@ use crate::quantity::Estimate;
 pub trait Progress: Sync {
     /// Called at the start of every image.
     fn image(&self, content: Content);
-    /// Called after every row of it.
+    /// Called after every row of the image.
     fn row(&self);
 }
 
@@ -29,16 +29,16 @@ impl Progress for () {
 
 /// The truth of a simulated data set.
 ///
-/// q'ᵢ and ρ are those of micro-lenses whose openings are as wide as their pitch; with an aperture ratio below 1 micro-images
+/// q'ᵢ and ρ hold for micro-lenses whose openings are as wide as their pitch. With an aperture ratio below 1, micro-images
 /// and blur are smaller.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
-    /// The camera. That of a real lens has F and the exit pupil for rays close to the axis, and neither
-    /// distortion nor a curved field: no value of these is its true one.
+    /// True camera. With a real lens, it has the paraxial F and exit pupil, and neither distortion nor field curvature, which
+    /// have no true value.
     pub camera: PlenopticCamera,
-    /// What a real lens comes to close to the axis.
+    /// Paraxial figures of a real lens.
     pub main_lens: Option<LensFigures>,
-    /// m and q'ᵢ.
+    /// Internal parameters m and q'ᵢ.
     pub internal: InternalParameters,
     /// Centres of all micro-images, dead micro-lenses included.
     pub centers: Vec<TrueCenter>,
@@ -49,23 +49,23 @@ pub struct Truth {
 /// A simulated data set without its images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulated {
-    /// Which images it consists of, and where the boards are.
+    /// Images of the data set, and the poses of the boards.
     pub data_set: DataSet,
-    /// Its truth.
+    /// Truth of the data set.
     pub truth: Truth,
-    /// Centres, and the features of the calibration boards with at least half of their light visible, all
-    /// with noise. No features if there are no calibration boards.
+    /// Centres, and the features of the calibration boards with at least half of their light visible, with noise. It has no
+    /// features if there are no calibration boards.
     pub observed: Observations,
 }
 
-/// Features with a smaller fraction of their light visible are not observed.
+/// Least visible fraction of the light of an observed feature.
 const OBSERVABLE: f64 = 0.5;
 
 /// Plans a data set, computes its truth, takes its images one by one, and passes each to `receive`,
 /// since all of them may not fit into memory together.
 ///
 /// The calibration boards are at `poses` if given, else at random poses. The same settings
-/// give the same data set. An error if the settings are impossible, or from `receive`.
+/// give the same data set. Fails if the settings are impossible, or if `receive` fails.
 pub fn simulate(
     settings: &Settings,
     poses: Option<Vec<FramePose>>,
@@ -93,7 +93,7 @@ fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Truth {
         boards.iter().flat_map(of_board).collect()
     });
     let internal = tracer.internal_parameters();
-    // A pixel gives to two neighbours at a distance of 1 along each axis.
+    // Along each axis, a pixel gives light to two neighbours at a distance of 1 px.
     let Settings { imperfections, imaging, .. } = settings;
     let variance_px2 = imperfections.point_spread_px.powi(2) + 2.0 * imaging.crosstalk;
     let edge_spread = EdgeSpread {

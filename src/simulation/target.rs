@@ -11,13 +11,13 @@ use crate::model::{Board, positive};
 ///
 /// With ξ = (x − h_x)/h_x and η = (y − h_y)/h_y, where h is half the extent of the inner corners and x and y
 /// count from corner 0 in the board frame, the true surface is z = `sag_mm`\[0\] ξ² + `sag_mm`\[1\] η² +
-/// `twist_mm` ξη, away from the camera.
+/// `twist_mm` ξη; z points away from the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Target {
-    /// Inner corners along a row.
+    /// Number of inner corners along a row.
     pub columns: i32,
-    /// Inner corners along a column.
+    /// Number of inner corners along a column.
     pub rows: i32,
     /// Side of a square, mm.
     pub square_mm: f64,
@@ -29,62 +29,62 @@ pub struct Target {
     pub black: f64,
     /// Radiance of everything beyond the border.
     pub background: f64,
-    /// How much further away than the middle of the board the ends of its middle row are, and those of its
-    /// middle column, mm.
+    /// Sag, mm: distance by which the ends of the middle row, and of the middle column, are further away than the middle of the
+    /// board.
     #[serde(default)]
     pub sag_mm: [f64; 2],
-    /// How much further away the first and the last corner are by a twist of the board, mm; the other two
-    /// outer corners come nearer.
+    /// Twist, mm: distance by which it moves the first and the last corner away from the camera. The other two outer corners
+    /// come nearer by it.
     #[serde(default)]
     pub twist_mm: f64,
-    /// Spacing of the corners along the rows over that along the columns, less 1: x grows by half of it, y
+    /// Spacing of the corners along the rows over the spacing along the columns, minus 1. x grows by half of it, y
     /// shrinks by half of it.
     #[serde(default)]
     pub aspect: f64,
-    /// How much brighter the sheet is at the ends of its rows and of its columns than in its middle,
-    /// relative: its radiance is that of the print times 1 + g·(ξ, η), but at least a twentieth.
+    /// Gradient g of the illumination along rows and columns: relative excess at their ends over the middle. The radiance of
+    /// the print is multiplied by 1 + g·(ξ, η), or by a twentieth if that is larger.
     #[serde(default)]
     pub uneven_light: [f64; 2],
 }
 
-/// Largest difference of both spacings, relative: a print is off by much less.
+/// Largest relative difference of both spacings. A print is off by much less.
 const MAX_ASPECT: f64 = 0.2;
-/// Points along each side of a bent sheet that are looked at to find the nearest one.
+/// Points along each side of a bent sheet, of which the nearest one is searched for.
 const GRID: i32 = 17;
 
 impl Target {
-    /// The board by its inner corners, flat and exact, as a user states it.
+    /// Returns the board by its inner corners, flat and exact, as a user states it.
     #[must_use]
     pub fn board(&self) -> Board {
         Board { columns: self.columns, rows: self.rows, square_mm: self.square_mm }
     }
 
-    /// Whether the corners are where those of [`Target::board`] are.
+    /// Returns true if the corners are where [`Target::board`] has them.
     #[must_use]
     pub fn is_flat_and_exact(&self) -> bool {
         self.surface().is_none() && self.aspect == 0.0
     }
 
-    /// The true position of a corner in the board frame, mm.
+    /// Returns the true position of a corner in the board frame, mm.
     #[must_use]
     pub fn corner_mm(&self, corner: i32) -> Point3<f64> {
         let place = self.board().point_mm(corner).coords.xy().component_mul(&self.stretch());
         self.on_surface(place)
     }
 
-    /// By how much x and y are stretched.
+    /// Returns the factors by which x and y are stretched.
     pub(super) fn stretch(&self) -> Vector2<f64> {
         Vector2::new(1.0 + self.aspect / 2.0, 1.0 - self.aspect / 2.0)
     }
 
-    /// The surface, unless it is flat.
+    /// Returns the surface; `None` if it is flat.
     pub(super) fn surface(&self) -> Option<Surface> {
         let surface =
             Surface { half: self.half_mm(), sag: self.sag_mm.into(), twist: self.twist_mm };
         (surface.sag != Vector2::zeros() || surface.twist != 0.0).then_some(surface)
     }
 
-    /// Points of the sheet in the board frame, mm, among which are the outermost: its corners and, if it is
+    /// Returns points of the sheet in the board frame, mm, which include the outermost: its corners and, if it is
     /// bent, a grid over all of it.
     pub(super) fn sheet_mm(&self) -> Vec<Point3<f64>> {
         let low = Vector2::repeat(-self.square_mm - self.border_mm).component_mul(&self.stretch());
@@ -105,7 +105,7 @@ impl Target {
         Point3::from(place.push(z))
     }
 
-    /// Half the extent of the inner corners along x and y, mm.
+    /// Returns half the extent of the inner corners along x and y, mm.
     fn half_mm(&self) -> Vector2<f64> {
         Vector2::new(f64::from(self.columns - 1), f64::from(self.rows - 1)) * (self.square_mm / 2.0)
     }
@@ -165,7 +165,7 @@ impl Target {
     }
 }
 
-/// The surface of a bent board, in the board frame, mm.
+/// Surface of a bent board, in the board frame, mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Surface {
     half: Vector2<f64>,
@@ -174,21 +174,21 @@ pub(super) struct Surface {
 }
 
 impl Surface {
-    /// z at a place.
+    /// Returns z at a position.
     pub fn height(&self, place: &Vector2<f64>) -> f64 {
         let at = place.component_div(&self.half).add_scalar(-1.0);
         self.along(&at, &at)
     }
 
-    /// dz/dx and dz/dy at a place.
+    /// Returns dz/dx and dz/dy at a position.
     pub fn slope(&self, place: &Vector2<f64>) -> Vector2<f64> {
         let at = place.component_div(&self.half).add_scalar(-1.0);
         let slope = self.sag.component_mul(&at) * 2.0 + Vector2::new(at.y, at.x) * self.twist;
         slope.component_div(&self.half)
     }
 
-    /// Where a line through `place` in the plane z = 0, with the slopes dx/dz and dy/dz, meets the surface,
-    /// on the side of the plane; `None` if it misses it.
+    /// Returns the point where a line through `place` in the plane z = 0, with the slopes dx/dz and dy/dz, meets the surface:
+    /// the intersection next to the plane. `None` if the line misses the surface.
     ///
     /// Along the line the height of the surface is h₀ + h₁z + h₂z², and the point is the root of
     /// h₂z² − (1 − h₁)z + h₀ that goes to 0 with h₀.
@@ -206,7 +206,7 @@ impl Surface {
         Some((place + slope * z).push(z))
     }
 
-    /// The symmetric bilinear form of z: its value for (ξ, η) twice.
+    /// Returns the symmetric bilinear form of the surface. Its value for (ξ, η) twice is z.
     fn along(&self, a: &Vector2<f64>, b: &Vector2<f64>) -> f64 {
         self.sag.x * a.x * b.x + self.sag.y * a.y * b.y + self.twist * (a.x * b.y + a.y * b.x) / 2.0
     }
@@ -218,7 +218,7 @@ pub(super) mod tests {
 
     use super::*;
 
-    /// Five by three corners, bent, stretched and unevenly lit.
+    /// Returns a target of five by three corners that is bent, stretched and unevenly lit.
     pub fn target() -> Target {
         Target {
             columns: 5,
@@ -253,7 +253,7 @@ pub(super) mod tests {
         let (xi, eta) = (1.002, 0.998);
         let height = 0.8 * xi * xi - 0.5 * eta * eta + 0.3 * xi * eta;
         assert!((last.z - height).abs() < 1e-12, "{last}");
-        // Spacing along the rows over that along the columns.
+        // Spacing along the rows over the spacing along the columns.
         let along = |a: i32, b: i32| (target.corner_mm(b) - target.corner_mm(a)).xy().norm();
         assert!((along(0, 1) / along(0, 5) - 1.002).abs() < 1e-5);
         assert!(!target.is_flat_and_exact() && !exact.is_flat_and_exact());
@@ -273,7 +273,7 @@ pub(super) mod tests {
                 assert!(hit.z.abs() < 5.0, "{hit} is the nearest");
             }
         }
-        // Far beyond the sheet, where the surface falls away faster than the line.
+        // Far beyond the sheet, the surface falls away faster than the line.
         assert_eq!(surface.meet(&Vector2::new(20.0, 300.0), &Vector2::new(0.0, -1.0)), None);
     }
 

@@ -1,4 +1,4 @@
-//! The tracer against the closed form and against cases worked out by hand.
+//! Tests of the tracer against the closed form and against cases computed by hand.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
@@ -29,8 +29,8 @@ fn pose(x: f64, y: f64, z: f64, turn: [f64; 3]) -> Isometry3<f64> {
 
 /// From the point where a ray from the sensor meets the board, light returns to the sensor
 /// through the same point of the micro-lens. Rays are traced back with the distortion of their
-/// bundle, so a small fraction of a pixel is lost. The second camera has the curved field and the exit
-/// pupil of a real lens, off the axis; the last board is bent.
+/// bundle, so a small fraction of a pixel is lost. The second camera has a curved field and an exit
+/// pupil off the axis, as a real lens has; the last board is bent.
 #[test]
 fn light_returns_along_the_rays() {
     const LOST_PX: f64 = 2e-3;
@@ -76,8 +76,8 @@ fn light_returns_along_the_rays() {
     }
 }
 
-/// Where pixels are said to see one radiance through a micro-lens, every ray from them does: also from a board that is near and
-/// tilted, through a lens with distortion, a curved field and a pupil off the axis, and with a point spread.
+/// If pixels are reported to see one radiance through a micro-lens, every ray from them sees it. This holds also for a board
+/// that is near and tilted, a lens with distortion, a curved field and a pupil off the axis, and a point spread.
 #[test]
 fn pixels_that_see_one_radiance_see_no_other() {
     let (mut plain, mut mixed, mut looked_at) = (0, 0, 0);
@@ -126,7 +126,7 @@ fn pixels_that_see_one_radiance_see_no_other() {
     assert!(plain > 100 && mixed > 100 && looked_at > 2000, "{plain} {mixed} {looked_at}");
 }
 
-/// Mean over all pairs of points of two discs of a function of the squared distance between them.
+/// Returns the mean of a function of the squared distance between two points, over all pairs of points of two discs.
 fn mean_over_discs(one: f64, other: f64, of: &dyn Fn(f64) -> f64) -> f64 {
     let points = |radius: f64| {
         (0..256).map(move |i| {
@@ -139,9 +139,9 @@ fn mean_over_discs(one: f64, other: f64, of: &dyn Fn(f64) -> f64) -> f64 {
     pairs.map(of).sum::<f64>() / 65_536.0
 }
 
-/// All light that enters through pupil and micro-lens arrives, whatever the micro-lens does to
-/// it: π² R² r²/D² for a white target seen through two distant discs, less what oblique rays
-/// lose by the law of the fall-off.
+/// All light that enters through pupil and micro-lens arrives, whatever the focal length of the micro-lens:
+/// π² R² r²/D² for a white target seen through two distant discs, less the loss of oblique rays by the
+/// law of the fall-off.
 #[test]
 fn light_is_conserved_for_every_lens_type() {
     // The noise of 1024 rays through a few hundred pixels.
@@ -176,7 +176,7 @@ fn light_is_conserved_for_every_lens_type() {
             let (pupil, stop) = (tracer.lens.pupil.radius, tracer.array.opening_radius);
             let distance = camera.pupil_to_mla_mm();
             let all = (std::f64::consts::PI * pupil * stop / distance).powi(2);
-            // The slope at the sensor is that towards the pupil and what the micro-lens adds.
+            // The slope at the sensor is the slope towards the pupil plus the one that the micro-lens adds.
             let added = stop * (tracer.array.lenses[alive].power - 1.0 / distance);
             let weight = mean_over_discs(pupil / distance, added, &|tan2| match fall_off {
                 FallOffLaw::None => 1.0,
@@ -207,7 +207,7 @@ fn white_images_show_the_internal_parameters_of_the_model() {
     }
 }
 
-/// By hand for F/4 of 16.2 mm and a pupil 5 mm behind the lens: p = 1 − 5/16.2, the entrance pupil has
+/// By hand, with F = 16.2 mm at f/4 and a pupil 5 mm behind the lens: p = 1 − 5/16.2, and the entrance pupil has
 /// the diameter 16.2/4.
 #[test]
 fn the_exit_pupil_is_the_image_of_the_entrance_pupil() {

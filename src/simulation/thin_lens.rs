@@ -1,4 +1,4 @@
-//! The main lens as rays meet it: a thin lens at z = 0 with lateral distortion and a curved field.
+//! The thin main lens at z = 0, with lateral distortion and a curved field.
 
 use nalgebra::{Matrix2, Point3, Vector2};
 
@@ -12,26 +12,25 @@ use crate::model::MainLens;
 pub(super) struct ThinMainLens {
     lens: MainLens,
     distorts: bool,
-    /// Whether image points lie elsewhere than those of an ideal lens.
+    /// True if image points differ from the image points of an ideal lens.
     pub moves: bool,
     pub pupil: Stop,
-    /// 1/F.
+    /// Refractive power 1/F.
     power: f64,
 }
 
-/// Distortion near one ray of a narrow bundle: linearised about its image point. For other rays it is
-/// a start; one Newton step with this Jacobian then leaves an error of third order in the width of
-/// the bundle.
+/// Distortion, linearised about the image point of one ray of a narrow bundle. Other rays start from it; one Newton step with
+/// this Jacobian then leaves an error of third order in the width of the bundle.
 #[derive(Debug, Clone, Copy)]
 struct LocalDistortion {
     distorted: Vector2<f64>,
     undistorted: Vector2<f64>,
     inverse: Matrix2<f64>,
-    /// How far image points near this one lie from the ideal ones.
+    /// Shift of image points near this one from the ideal ones.
     shift: ImageShift,
 }
 
-/// What the rays of a narrow bundle have in common that lead to the board.
+/// Data that the rays of a narrow bundle share, if they lead to the board.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Aim {
     local: LocalDistortion,
@@ -40,11 +39,11 @@ pub(super) struct Aim {
 
 /// Number of points checked from the axis to a corner of the image.
 const FOLD_STEPS: u32 = 32;
-/// Tolerance of an image point, far below a pixel, mm.
+/// Tolerance of an image point, mm: far below a pixel.
 const FOUND_MM: f64 = 1e-6;
-/// With a distortion small against its argument, Newton's method gains five digits a step.
+/// Largest number of Newton steps. With a distortion small against its argument, each gains five digits.
 const NEWTON_STEPS: usize = 4;
-/// After a step from nearer than this, mm, no other is needed.
+/// Miss before a Newton step, mm, below which the step is the last.
 const NEAR_MM: f64 = 1e-7;
 
 impl ThinMainLens {
@@ -54,7 +53,7 @@ impl ThinMainLens {
         Self { lens: *lens, distorts, moves, pupil, power: 1.0 / lens.focal_length_mm }
     }
 
-    /// Where all rays of an object point meet behind the lens; `None` if the point is not beyond F.
+    /// Returns the point where all rays of an object point meet behind the lens; `None` if the object point is not beyond F.
     pub fn image_of(&self, point: &Point3<f64>) -> Option<Point3<f64>> {
         if point.z <= self.lens.focal_length_mm {
             return None;
@@ -65,16 +64,16 @@ impl ThinMainLens {
         Some(Point3::from((ideal + self.distortion_mm(ideal)).push(z)))
     }
 
-    /// How much nearer to the lens the image of a point lies than that of an ideal lens, which is at x:
-    /// κ|x|², both in mm.
+    /// Returns the distance κ|x|² by which the image of a point lies nearer to the lens than the image x of an ideal lens, both
+    /// in mm.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     fn nearer_mm(&self, x: Vector2<f64>) -> f64 {
         self.lens.field_curvature_per_mm * (x.x * x.x + x.y * x.y)
     }
 
-    /// How far distortion moves an ideal image point, both in mm in the camera frame
-    /// (Brown-Conrady; paper, section 2.1). The tracer has its own, so that it can contradict the core's.
+    /// Returns the shift of an ideal image point due to distortion, both in mm in the camera frame
+    /// (Brown-Conrady; paper, section 2.1). It is independent of the core's distortion, so that tests compare the two.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     fn distortion_mm(&self, x: Vector2<f64>) -> Vector2<f64> {
@@ -98,8 +97,8 @@ impl ThinMainLens {
             + (x * p.transpose() + p * x.transpose()) * 2.0
     }
 
-    /// The fraction (0 to 1) of the way from the axis to an image point at which distortion folds the
-    /// image, if it does.
+    /// Returns the fraction (0 to 1) of the way from the axis to an image point at which distortion folds the
+    /// image; `None` if it does not.
     pub fn first_fold(&self, distorted: &Vector2<f64>) -> Option<f64> {
         (1..=FOLD_STEPS).map(|step| f64::from(step) / f64::from(FOLD_STEPS)).find(|&part| {
             let local = self.about(distorted * part, distorted * part);
@@ -111,7 +110,7 @@ impl ThinMainLens {
         })
     }
 
-    /// The distortion about a point of image space, searched for from a guess.
+    /// Linearises the distortion about a point of image space. The search starts from a guess.
     fn about(&self, distorted: Vector2<f64>, guess: Vector2<f64>) -> LocalDistortion {
         let mut undistorted = guess;
         let mut inverse = Matrix2::identity();
@@ -139,8 +138,8 @@ impl ThinMainLens {
         LocalDistortion { distorted, undistorted, inverse, shift }
     }
 
-    /// What the rays about `ray` have in common; `None` if it leads away from the board. The search
-    /// starts from what was found for a ray nearby, if there is one.
+    /// Returns the data that the rays about `ray` share; `None` if it leads away from the board. The search
+    /// starts from the result of a nearby ray, if given.
     pub fn aim(&self, ray: &Ray, board: &PlacedTarget, nearby: Option<&Aim>) -> Option<Aim> {
         let aim = self.aim_at(ray, board.plane(), nearby)?;
         if !board.is_bent() {
@@ -163,7 +162,7 @@ impl ThinMainLens {
             meets.then(|| ray.at(z))
         };
         let without = || at(&ImageShift::none()).map(|at| self.about(at, at));
-        // Without an end of the search there is no start.
+        // A search that did not converge gives no start.
         let nearby = nearby.filter(|nearby| nearby.local.undistorted.iter().all(|x| x.is_finite()));
         let start = nearby.map_or_else(without, |nearby| Some(nearby.local))?;
         let at = at(&start.shift)?;
@@ -171,8 +170,8 @@ impl ThinMainLens {
         Some(Aim { local, plane: board.image_plane(&local.shift) })
     }
 
-    /// The ray in front of the lens that belongs to `ray` behind it, for the board that it aims at, and whether it leads
-    /// there; `moves` is [`ThinMainLens::moves`], known to the compiler.
+    /// Returns the ray in front of the lens that continues `ray` behind it, for the board that it aims at, and true if it leads
+    /// to the board. `moves` is [`ThinMainLens::moves`], as a constant for the compiler.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn object_ray(&self, ray: &Ray, aim: &Aim, moves: bool) -> (Ray, bool) {
@@ -180,11 +179,11 @@ impl ThinMainLens {
         (self.refracted(ray, z, &aim.local, moves), meets)
     }
 
-    /// The ray in front of the lens that belongs to `ray` behind it, for an object whose image lies at
+    /// Returns the ray in front of the lens that continues `ray` behind it, for an object whose image lies at
     /// `image_z`.
     ///
-    /// A ray aims at an image point; with an ideal lens it would aim at the point that distortion and
-    /// the curvature of the field move there. The thin lens refracts that ray: it subtracts x/F from the
+    /// A ray aims at an image point. With an ideal lens it would aim at the point that distortion and
+    /// field curvature move to this image point. The thin lens refracts that ray: it subtracts x/F from the
     /// slope.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
@@ -213,7 +212,7 @@ impl ThinMainLens {
     }
 }
 
-/// A product in which the compiler sees several of its kind.
+/// Multiplies a matrix and a vector, in a form that the compiler evaluates for several rays at once.
 #[inline(always)]
 #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
 fn times(m: &Matrix2<f64>, v: Vector2<f64>) -> Vector2<f64> {
@@ -237,8 +236,7 @@ mod tests {
         })
     }
 
-    /// Rays from one object point through any point of the lens meet in its image, and those rays
-    /// lead back to the object point.
+    /// Rays from one object point through any point of the lens meet in its image, and they lead back to the object point.
     #[test]
     fn rays_lead_back_to_their_object_point() {
         let lens = lens();
@@ -253,7 +251,7 @@ mod tests {
         }
     }
 
-    /// The paper's formula, written out with numbers: r² = 5, x = 1, y = 2.
+    /// The paper's formula with numbers: r² = 5, x = 1, y = 2.
     #[test]
     fn distortion_is_that_of_the_paper() {
         let lens = thin(&MainLens {

@@ -1,7 +1,7 @@
 //! Traces rays from the sensor through micro-lenses and main lens into the scene.
 //!
-//! Nothing here uses the projection model of the C++ core: lenses refract rays and openings block
-//! them; blur, vignetting, overlap and the sizes of micro-images follow.
+//! The tracer does not use the projection model of the C++ core: lenses refract rays and openings block
+//! them. Blur, vignetting, overlap and the sizes of micro-images follow.
 
 use nalgebra::Point3;
 
@@ -33,13 +33,13 @@ pub struct Tracer {
     pub(super) mla_to_sensor: f64,
 }
 
-/// Micro-images wider than this many pitches cover their neighbours' centres.
+/// Largest radius of a micro-image, in pitches. Larger micro-images cover the centres of their neighbours.
 const LARGEST_RADIUS: f64 = 1.0;
-/// More rays would lower the noise below the resolution of a 16-bit sample.
+/// Largest number of rays. More would lower the noise below the resolution of a 16-bit sample.
 const MAX_RAYS: u32 = 1 << 14;
 
 impl Tracer {
-    /// The camera with its main lens at `f_number`; `seed` sets the random positions.
+    /// Creates the camera with its main lens at `f_number`; `seed` sets the random positions.
     pub fn new(
         camera: &PlenopticCamera,
         f_number: f64,
@@ -49,7 +49,7 @@ impl Tracer {
         Self::with_lens(camera, None, f_number, imperfections, seed)
     }
 
-    /// The camera with a real main lens, if a prescription is given: it is scaled to the camera's F, and
+    /// Creates the camera with a real main lens if a prescription is given. The prescription is scaled to the camera's F, and
     /// the camera has its exit pupil, without distortion and field curvature.
     pub fn with_lens(
         camera: &PlenopticCamera,
@@ -130,16 +130,16 @@ impl Tracer {
         )
     }
 
-    /// Distance between neighbouring micro-image centres, as projected from the exit pupil, mm.
+    /// Returns the distance between neighbouring micro-image centres, as projected from the exit pupil, mm.
     fn micro_image_pitch_mm(&self) -> f64 {
         let to_pupil = self.lens.pupil.center.z + self.lens_to_mla;
         let to_sensor = -self.lens_to_mla - self.array.sensor_z;
         self.array.pitch * (1.0 + to_sensor / to_pupil)
     }
 
-    /// Ω of this camera, with its aperture ratio. The outer radius of a micro-image combines the radii of the
-    /// pupil and of the micro-lens's opening, both projected onto the sensor, and grows with the pupil; q'ᵢ
-    /// are those of openings as wide as the pitch. It agrees with the paper.
+    /// Returns the internal parameters Ω of this camera, with its aperture ratio. The outer radius of a micro-image combines
+    /// the radii of the pupil and of the opening of the micro-lens, both projected onto the sensor, and grows with the pupil.
+    /// q'ᵢ holds for openings as wide as the pitch. The parameters agree with the paper.
     #[must_use]
     pub fn internal_parameters(&self) -> InternalParameters {
         let to_pupil = self.lens.pupil.center.z + self.lens_to_mla;
@@ -173,14 +173,14 @@ impl Tracer {
         (0..self.types).filter_map(|t| self.array.lenses.iter().find(|lens| lens.lens_type == t))
     }
 
-    /// The camera's sensor.
+    /// Returns the camera's sensor.
     #[must_use]
     pub fn sensor(&self) -> &Sensor {
         &self.sensor
     }
 
-    /// Outer radius of a micro-image of a white image, px: where the outermost ray arrives, from one
-    /// rim of the pupil through the opposite rim of the micro-lens.
+    /// Returns the outer radius of a micro-image of a white image, px: the distance of the outermost ray, from one
+    /// edge of the pupil through the opposite edge of the micro-lens.
     pub(super) fn micro_image_radius_px(&self, lens: &MicroLens) -> f64 {
         let to_sensor = lens.center.z - self.array.sensor_z;
         let to_pupil = self.lens.pupil.center.z - lens.center.z;
@@ -188,7 +188,7 @@ impl Tracer {
         (stop + self.lens.drawn.radius) * to_sensor / to_pupil / self.array.pixel_size
     }
 
-    /// Irradiance (relative to the radiance of white: a solid angle) in the middle of a micro-image of
+    /// Returns the irradiance (over the radiance of white: a solid angle) in the middle of a micro-image of
     /// the brightest type, untilted and on the axis.
     #[must_use]
     pub fn reference_irradiance(&self) -> f64 {
@@ -213,12 +213,12 @@ impl Tracer {
         }
     }
 
-    /// An error if no image can be taken of the scene.
+    /// Fails if no image can be taken of the scene.
     pub(super) fn check_scene(&self, scene: &Scene) -> Result<()> {
         self.place(scene).map(drop)
     }
 
-    /// Whether a ray passes the main lens and the second stop.
+    /// Returns true if a ray passes the main lens and the second stop.
     #[inline]
     pub(super) fn passes(&self, ray: &Ray) -> bool {
         self.passes_second(ray) && self.lens.passes(ray)
@@ -230,7 +230,7 @@ impl Tracer {
     }
 }
 
-/// An error unless this number of rays per pixel can be traced.
+/// Fails unless this number of rays per pixel can be traced.
 pub(super) fn check_rays(rays: u32) -> Result<()> {
     if (1..=MAX_RAYS).contains(&rays) {
         return Ok(());

@@ -1,4 +1,4 @@
-//! What an ideal detector would find, by tracing rays forwards from points of the board.
+//! The results of an ideal detector, by tracing rays forwards from points of the board.
 
 use nalgebra::{Isometry3, Point2, Point3, Vector2};
 use rayon::prelude::*;
@@ -12,9 +12,9 @@ use crate::model::{BapFeature, MicroImageCenter};
 /// The light of one point in space on the sensor behind one micro-lens.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spot {
-    /// Middle of the rays through the rim of the micro-lens, px.
+    /// Mean of the rays through the rim of the micro-lens, px.
     pub center_px: Point2<f64>,
-    /// Mean distance of those rays from the middle, px; negative if they arrive inverted, as for ρ.
+    /// Mean distance of these rays from the mean, px, with the sign of ρ: positive if they cross in front of the sensor.
     pub radius_px: f64,
     /// Fraction of the light that passes the pupil and all stops.
     pub visible: f64,
@@ -34,22 +34,22 @@ pub struct TrueCenter {
 /// A board corner in a micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrueFeature {
-    /// The feature, without noise. Its ρ is that of an opening as wide as the pitch.
+    /// Feature without noise. Its ρ holds for an opening as wide as the pitch.
     pub feature: BapFeature,
     /// Fraction of its light that passes the pupil and all stops, above 0.
     pub visible: f64,
 }
 
-/// Rays through the rim of a micro-lens; their mean is exact for any even number.
+/// Number of rays through the rim of a micro-lens. Their mean is exact for any even number.
 const RIM_RAYS: u32 = 32;
-/// The image of a corner about the middle of the pupil shows it this far from where it is at most, in
-/// radii of the micro-image.
+/// Largest distance between a micro-image centre and the image of a corner about the middle of the pupil, in radii of the
+/// micro-image, at which the micro-image may show the corner.
 const NEAR: f64 = 1.5;
-/// Rings of rays that measure how much is visible, with equal areas and equal numbers of rays.
+/// Number of rings of rays that measure the visible fraction, with equal areas and equal numbers of rays.
 const RINGS: u32 = 8;
 
 impl Tracer {
-    /// The spot that a point in the camera frame forms through micro-lens (k, l); `None` if the point is
+    /// Returns the spot that a point in the camera frame forms through micro-lens (k, l); `None` if the point is
     /// not beyond the focal length, or there is no such micro-lens.
     #[must_use]
     pub fn spot(&self, point: &Point3<f64>, k: i32, l: i32) -> Option<Spot> {
@@ -66,7 +66,7 @@ impl Tracer {
         let hits: Vec<Point2<f64>> = rim.iter().map(hit).collect();
         let rays = f64::from(RIM_RAYS);
         let center = Point2::from(hits.iter().map(|p| p.coords).sum::<Vector2<f64>>() / rays);
-        // Seen in the upright image, a ray through the right rim of the lens arrives at u + ρ.
+        // The image is upright: a ray through the rim of the lens at +x arrives at u + ρ.
         let radius = rim.iter().zip(&hits).map(|(direction, hit)| {
             let outwards = self.array.of_lens(lens, *direction) - lens.center;
             outwards.xy().dot(&(hit - center))
@@ -93,15 +93,14 @@ impl Tracer {
         all.filter(passes).count() as f64 / f64::from(RINGS * RIM_RAYS)
     }
 
-    /// Centre of a micro-image: the ray from the middle of the exit pupil, or of the stop of a real lens,
-    /// through the middle of the micro-lens; `None` if no ray of the lens leads there.
+    /// Returns the centre of a micro-image: the ray from the middle of the exit pupil, or of the stop of a real lens,
+    /// through the middle of the micro-lens. `None` if no ray of the lens leads there.
     fn micro_image_center(&self, lens: &MicroLens) -> Option<Point2<f64>> {
         let direction = self.lens.chief_direction(&lens.center)?;
         Some(self.array.to_pixel(&lens.center, &direction))
     }
 
-    /// The centre and type of every micro-image whose centre lies in the image, dead micro-lenses
-    /// included.
+    /// Returns centre and type of every micro-image whose centre lies in the image, including dead micro-lenses.
     #[must_use]
     pub fn centers(&self) -> Vec<TrueCenter> {
         self.array
@@ -123,8 +122,8 @@ impl Tracer {
             .collect()
     }
 
-    /// Every corner of the board, where it truly is, in every micro-image that some of its light reaches, if its
-    /// position lies in the image and within the micro-image's outer radius.
+    /// Returns every corner of the board, at its true position, in every micro-image that some of its light reaches, if the
+    /// position lies in the image and within the outer radius of the micro-image.
     #[must_use]
     pub fn features(
         &self,
@@ -182,7 +181,7 @@ impl Tracer {
     }
 }
 
-/// Unit vectors, evenly spaced around the circle.
+/// Returns unit vectors, evenly spaced around the circle.
 fn directions(count: u32) -> Vec<Vector2<f64>> {
     let turn = std::f64::consts::TAU / f64::from(count);
     (0..count).map(|i| (f64::from(i) * turn).sin_cos()).map(|(s, c)| Vector2::new(c, s)).collect()

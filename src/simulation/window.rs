@@ -1,23 +1,23 @@
-//! Which part of a disc rays are drawn from.
+//! The part of a disc from which rays are drawn.
 
 use nalgebra::Vector2;
 
-/// A window is used where it is smaller than this part of the disc.
+/// Largest area of a rectangle, as a fraction of the disc, for which it is used.
 const WORTH: f64 = 0.8;
 
-/// The part of the unit disc that rays are drawn from: all of it, or a rectangle that contains what another
-/// disc covers of it. At the rim of a micro-image that is little: of rays all over the disc few would arrive,
-/// and their number would have far more noise than a sensor.
+/// The part of the unit disc from which rays are drawn: all of it, or a rectangle that contains its overlap with another
+/// disc. At the rim of a micro-image the overlap is small: few of the rays from the whole disc would arrive, and their
+/// number would have far more noise than a sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Window {
-    /// The whole disc.
+    /// Whole disc.
     Disc,
-    /// From `low` to `high` along a direction, and to `half` on both sides of it.
+    /// Rectangle from `low` to `high` along a direction, with the half-width `half` across it.
     Rectangle { along: Vector2<f64>, low: f64, high: f64, half: f64 },
 }
 
 impl Window {
-    /// For another disc with this middle and radius.
+    /// Creates the window for another disc with this middle and radius.
     pub fn about(middle: Vector2<f64>, radius: f64) -> Self {
         let distance = middle.norm();
         let (low, high) = ((distance - radius).max(-1.0), (distance + radius).min(1.0));
@@ -28,7 +28,7 @@ impl Window {
         if worth { window } else { Self::Disc }
     }
 
-    /// Its area.
+    /// Returns the area.
     pub fn area(&self) -> f64 {
         match self {
             Self::Disc => std::f64::consts::PI,
@@ -36,8 +36,8 @@ impl Window {
         }
     }
 
-    /// Where on the unit disc a ray is drawn that belongs to a place on it and to one in the square from −1 to 1, and
-    /// whether that is on the disc.
+    /// Maps a position on the disc and one in the square from −1 to 1 to the point of the unit disc from which a ray is drawn.
+    /// Returns the point, and true if it is on the disc.
     #[inline(always)]
     #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
     pub fn place(&self, disc: Vector2<f64>, square: Vector2<f64>) -> (Vector2<f64>, bool) {
@@ -60,7 +60,7 @@ mod tests {
     use super::*;
     use crate::optics::WhiteDiscs;
 
-    /// The area that another disc covers, from the rays that lie in it, with and without a window.
+    /// The area that another disc covers agrees with the rays that lie in it, with and without a window.
     #[test]
     fn windows_contain_what_the_other_disc_covers() {
         let sets = RaySets::new(4096, &Footprint::new(0.0));

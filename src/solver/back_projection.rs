@@ -1,4 +1,4 @@
-//! From pixels back into space.
+//! Back-projection from pixels into space.
 
 use nalgebra::{Point3, Vector2, Vector3};
 use rayon::prelude::*;
@@ -26,8 +26,8 @@ fn in_chunks<T: Sync, R: Send>(
     Ok(chunks.into_iter().flatten().collect())
 }
 
-/// The micro-images (k, l) that pixels of the raw image belong to: those whose micro-lens is the nearest
-/// to the ray from the exit pupil. `None` outside the array.
+/// Returns the micro-images (k, l) to which pixels of the raw image belong: the micro-lens of each is nearest to the ray from
+/// the exit pupil. `None` outside the array.
 ///
 /// An error if the camera is not valid.
 pub fn micro_images_at(
@@ -39,10 +39,10 @@ pub fn micro_images_at(
     Ok(all.iter().map(|at| (at.k >= 0).then_some((at.k, at.l))).collect())
 }
 
-/// The chief rays of pixels, with their origins at the distance `z_mm` from the main lens. `None` where the camera sees
-/// nothing there. Distortion and field curvature bend rays a little; these touch the true ones at `z_mm`.
+/// Computes the chief rays of pixels, with their origins at the distance `z_mm` from the main lens. `None` if the camera sees
+/// nothing there. Distortion and field curvature bend rays a little; these are tangents to the true ones at `z_mm`.
 ///
-/// An error if the camera is not valid, or the distance not beyond its focal length.
+/// An error if the camera is not valid, or if the distance is not beyond its focal length.
 pub fn object_rays(
     camera: &PlenopticCamera,
     pixels: &[MicroPixel],
@@ -53,9 +53,9 @@ pub fn object_rays(
     Ok(found(rays, |ray| ray.origin_mm[0]))
 }
 
-/// The same of pixels in the micro-images that they belong to ([`micro_images_at`]).
+/// Computes the chief rays of pixels in the micro-images to which they belong ([`micro_images_at`]).
 ///
-/// Errors are those of [`object_rays`].
+/// Errors are the same as in [`object_rays`].
 pub fn pixel_rays(
     camera: &PlenopticCamera,
     pixels: &[Vector2<f64>],
@@ -78,7 +78,7 @@ fn check_rays(camera: &PlenopticCamera, z_mm: f64) -> Result<()> {
     )))
 }
 
-/// The points that are seen at virtual depths; `None` where there is none.
+/// Computes the points seen at virtual depths; `None` if there is no such point.
 ///
 /// An error if the camera is not valid, or a σ negative or not finite.
 pub fn metric_points(
@@ -88,10 +88,10 @@ pub fn metric_points(
     points(camera, seen, false)
 }
 
-/// The same of pixels of a total-focus image, as other software renders it: (u, v) is where the image of a point lies
+/// Computes the points for pixels of a total-focus image of other software: (u, v) is the position of the image of a point
 /// across the axis, and the micro-image is not used.
 ///
-/// Errors are as those of [`metric_points`].
+/// Errors are the same as in [`metric_points`].
 pub fn focused_points(
     camera: &PlenopticCamera,
     seen: &[VirtualPoint],
@@ -109,7 +109,7 @@ fn points(
     Ok(found(points, |point| point.point_mm[0]))
 }
 
-/// Virtual depths of points of the camera frame (mm), each for the micro-lens of a pixel; `None` where there is none.
+/// Computes the virtual depths of points of the camera frame (mm), each for the micro-lens of a pixel; `None` if there is none.
 ///
 /// An error if the camera is not valid.
 pub fn virtual_depths(
@@ -123,8 +123,8 @@ pub fn virtual_depths(
     Ok(found(depths, |depth| *depth))
 }
 
-/// Points that several micro-lenses see, each by the weighted least squares of its sightings, where a loss on |r/σ| may
-/// withstand false ones; `None` where they do not determine it.
+/// Triangulates points seen through several micro-lenses, each by weighted least squares over its sightings. A loss on |r/σ|
+/// makes it robust to outliers. `None` if the sightings do not determine a point.
 ///
 /// An error if the camera is not valid, or a σ not positive.
 pub fn triangulate(
@@ -137,7 +137,7 @@ pub fn triangulate(
 }
 
 impl Ray {
-    /// The point at a distance from the main lens, mm.
+    /// Returns the point at a distance from the main lens, mm.
     #[must_use]
     pub fn at(&self, z_mm: f64) -> Point3<f64> {
         let origin = Point3::from(self.origin_mm);
@@ -147,7 +147,7 @@ impl Ray {
 }
 
 impl MetricPoint {
-    /// σ of x, y and z, mm.
+    /// Returns σ of x, y and z, mm.
     #[must_use]
     pub fn std_devs_mm(&self) -> [f64; 3] {
         [0, 4, 8].map(|i| self.covariance_mm2[i].sqrt())

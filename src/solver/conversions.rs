@@ -1,4 +1,4 @@
-//! Conversions between types of the bridge, cameras and boards, and nalgebra's.
+//! Conversions between types of the bridge, cameras and boards, and types of nalgebra.
 
 use std::ops::Index;
 
@@ -35,7 +35,7 @@ impl From<&BentBoard> for ffi::BoardParts {
     }
 }
 
-/// The shape with these parameters.
+/// Creates the shape with these parameters.
 pub(super) fn shape(values: &[f64; SHAPE]) -> BoardShape {
     let mut shape = BoardShape::default();
     for (parameter, &value) in Parameter::SHAPE.into_iter().zip(values) {
@@ -76,7 +76,7 @@ pub(super) fn rows<'a, T, Row: From<&'a T>>(all: &'a [T]) -> Vec<Row> {
     all.iter().map(Row::from).collect()
 }
 
-/// Results of the core, `None` where `number` of one is NaN: the core marks missing results so.
+/// Replaces missing results of the core by `None`: it marks them by NaN in `number`.
 pub(super) fn found<T>(rows: Vec<T>, number: impl Fn(&T) -> f64) -> Vec<Option<T>> {
     rows.into_iter().map(|row| (!number(&row).is_nan()).then_some(row)).collect()
 }
@@ -90,7 +90,7 @@ impl Index<(usize, usize)> for ffi::Matrix {
 }
 
 impl ffi::Matrix {
-    /// The values of a row.
+    /// Returns the values of a row.
     #[must_use]
     pub fn row(&self, row: usize) -> &[f64] {
         &self.values[row * self.columns..][..self.columns]

@@ -1,4 +1,4 @@
-//! Corners of boards in space.
+//! Triangulation of corners of boards.
 
 use std::collections::BTreeMap;
 
@@ -7,14 +7,14 @@ use super::bridge::ffi::{Loss, LossKind, MetricPoint, MicroPixel, SeenPoint, Sig
 use crate::error::Result;
 use crate::model::{BapFeature, PlenopticCamera};
 
-/// Where the loss on the sightings of a corner sets in, σ: few features lie that far off, but those that do are false.
+/// Scale of the loss on the sightings of a corner, σ: few features are that far off, and these are outliers.
 const LOSS_SCALE: f64 = 3.0;
 
-/// Features without noise scatter by nothing; their variance is not taken to be less than this part of what they state.
+/// Least factor on the variance of features: without noise there is no scatter.
 const LEAST_SCATTER: f64 = 1e-6;
-/// Rounds in which σ is set by the scatter.
+/// Number of rounds that adapt σ to the scatter.
 const ROUNDS: usize = 2;
-/// A scatter by fewer degrees of freedom is chance: σ is then as stated.
+/// Least number of degrees of freedom that adapts σ: with fewer, the scatter is chance, and σ stays as stated.
 const LEAST_FREEDOM: usize = 30;
 
 /// Corners of boards in space.
@@ -22,18 +22,18 @@ const LEAST_FREEDOM: usize = 30;
 pub struct Corners {
     /// Frame and number of each corner.
     pub labels: Vec<(u32, i32)>,
-    /// Where they are; `None` where their features do not determine it.
+    /// Positions of the corners; `None` if their features do not determine them.
     pub points: Vec<Option<MetricPoint>>,
-    /// By how much features scatter more than their σ says, in variance; 1 if hardly anything is redundant.
+    /// Ratio of the variance of features to the variance according to their σ; 1 with too few redundant features.
     pub scatter: f64,
 }
 
-/// Corners from the features of boards: false ones are withstood (Huber, 3 σ), and covariances are
-/// multiplied by how much features scatter more than their σ says, in the mean of all corners. σ of ρ is at
-/// least what the detection states: all features of a corner were found with the same blur, which follows
-/// from their own line, so that they err together.
+/// Triangulates corners from the features of boards. A loss (Huber, 3 σ) makes this robust to outliers. Covariances are
+/// multiplied by the ratio of the variance of features to the variance according to their σ, the mean over all corners. σ of ρ
+/// is at least the value stated by the detection: all features of a corner were fitted with the same blur, which follows from
+/// their own line, so that they share its error.
 ///
-/// Features without σ have one of 1 px. An error as of [`triangulate`].
+/// Features without σ have 1 px. Errors are the same as in [`triangulate`].
 pub fn corners(camera: &PlenopticCamera, features: &[BapFeature]) -> Result<Corners> {
     let mut seen: BTreeMap<(u32, i32), SeenPoint> = BTreeMap::new();
     for f in features {
@@ -51,7 +51,7 @@ pub fn corners(camera: &PlenopticCamera, features: &[BapFeature]) -> Result<Corn
     let loss = Loss { kind: LossKind::Huber, scale: LOSS_SCALE };
     let mut points = triangulate(camera, &seen, loss)?;
     let mut all = 1.0;
-    // The loss sets in elsewhere once σ is right, and that changes the scatter a little.
+    // A new σ changes which sightings the loss affects, and thus slightly the scatter.
     for _ in 0..ROUNDS {
         let more = scatter(&points);
         all *= more;
@@ -64,7 +64,7 @@ pub fn corners(camera: &PlenopticCamera, features: &[BapFeature]) -> Result<Corn
     Ok(Corners { labels, points, scatter: all })
 }
 
-/// χ² for each degree of freedom over all points.
+/// Computes χ² per degree of freedom over all points.
 fn scatter(points: &[Option<MetricPoint>]) -> f64 {
     let freedom: usize = points.iter().flatten().map(|p| p.freedom).sum();
     let chi_square: f64 = points.iter().flatten().map(|p| p.chi_square).sum();

@@ -1,4 +1,4 @@
-//! The forward model: projection of points and boards, visibility, and sensitivities of reconstructed points.
+//! Forward model: projection of points and boards, visibility, and sensitivities of reconstructed points.
 
 use nalgebra::{Isometry3, Point3, Vector2};
 
@@ -8,7 +8,7 @@ use super::problem::Problem;
 use crate::error::Result;
 use crate::model::{BentBoard, PlenopticCamera};
 
-/// How far distortion of the main lens moves ideal image points, all in mm in the camera frame
+/// Computes the displacement of ideal image points by distortion of the main lens, all in mm in the camera frame
 /// (Brown-Conrady; paper, section 2.1).
 ///
 /// An error if the camera is not valid.
@@ -21,14 +21,13 @@ pub fn distortion_mm(
     Ok(shifts.iter().map(|shift| Vector2::new(shift.x, shift.y)).collect())
 }
 
-/// Projects every feature's board point through its micro-lens; `None` where the model is not
-/// defined.
+/// Projects every feature's board point through its micro-lens; `None` if the model is not defined.
 pub(crate) fn project(problem: &Problem) -> Result<Vec<Option<Projected>>> {
     Ok(found(ffi::project(&problem.parts())?, |projected| projected.u_px))
 }
 
 impl Projected {
-    /// ρ, px; `None` for an array of pinholes, which has no blur.
+    /// Returns ρ, px; `None` for an array of pinholes, which has no blur.
     pub(crate) fn rho(&self) -> Option<f64> {
         (!self.rho_px.is_nan()).then_some(self.rho_px)
     }
@@ -44,8 +43,8 @@ pub(crate) fn project_centers(
     Ok(centers.iter().map(|pixel| [pixel.x, pixel.y]).collect())
 }
 
-/// Features of points of the flat grid of a board through all micro-lenses that see them at least
-/// `margin_px` inside the micro-image, without noise.
+/// Computes the features of points of the flat grid of a board through all micro-lenses that see them at least `margin_px`
+/// inside the micro-image, without noise.
 pub(crate) fn visible_features(
     camera: &PlenopticCamera,
     board: &BentBoard,
@@ -57,7 +56,7 @@ pub(crate) fn visible_features(
     Ok(ffi::visible_features(&camera.into(), &board.into(), &poses, &points, margin_px)?)
 }
 
-/// How points of space, reconstructed from their features, depend on the camera and on noise.
+/// Computes the sensitivities of points of space, reconstructed from their features, to the camera and to noise.
 pub(crate) fn point_sensitivities(
     camera: &PlenopticCamera,
     points_mm: &[Point3<f64>],
@@ -68,7 +67,7 @@ pub(crate) fn point_sensitivities(
 }
 
 impl PointSensitivity {
-    /// Whether enough micro-lenses see the point to place it.
+    /// Returns true if enough micro-lenses see the point to determine it.
     pub(crate) fn is_known(&self) -> bool {
         let changes = &self.by_intrinsics.values;
         !changes.is_empty() && changes.iter().chain(&self.covariance_mm2).all(|v| v.is_finite())

@@ -1,8 +1,8 @@
-//! The face to the C++ core: projection, refinement, uncertainty, and a calibrated camera in use.
+//! Interface to the C++ core: projection, refinement, uncertainty, and use of a calibrated camera.
 //!
-//! The equations are those of the C++ core, in `cpp/include/plenocal`. A pixel seen through a micro-lens
-//! is a ray in space; with the virtual depth of what it shows, or seen through several micro-lenses, it
-//! is a point. For these, many pixels go at once, on all cores.
+//! The equations are in the C++ core, in `cpp/include/plenocal`. A pixel seen through a micro-lens determines a ray in space.
+//! With a virtual depth, or seen through several micro-lenses, it determines a point. Back-projection processes many pixels at
+//! once, on all cores.
 
 mod back_projection;
 mod bridge;

@@ -9,7 +9,7 @@ use super::bridge::ffi::{CostOptions, Loss, LossKind, SolverOptions};
 use crate::model::Parameter;
 
 impl LossKind {
-    /// Its name in files and options.
+    /// Returns its name in files and options.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -20,7 +20,7 @@ impl LossKind {
     }
 }
 
-// A type of the bridge cannot derive these.
+// These implementations are written out because a type of the bridge cannot derive them.
 impl ValueEnum for LossKind {
     fn value_variants<'a>() -> &'a [Self] {
         &[Self::None, Self::Huber, Self::Cauchy]
@@ -51,13 +51,13 @@ impl<'de> Deserialize<'de> for LossKind {
     }
 }
 
-/// The names of parameters, as the core knows them.
+/// Returns the names of parameters in the core.
 pub(crate) fn names(parameters: &[Parameter]) -> Vec<String> {
     parameters.iter().map(ToString::to_string).collect()
 }
 
 impl Default for CostOptions {
-    /// The paper's cost: 1 px each, no loss, no priors, a known board, and only the paper's parameters free.
+    /// Returns the options of the paper: 1 px each, no loss, no priors, a known board, and only the paper's parameters free.
     fn default() -> Self {
         Self {
             uv_std_dev_px: 1.0,

@@ -1,4 +1,4 @@
-//! A problem for the solver.
+//! Problem for the solver.
 
 use nalgebra::Isometry3;
 
@@ -6,7 +6,7 @@ use super::bridge::ffi::{ProblemParts, SolverCenter, SolverFeature};
 use super::conversions::rows;
 use crate::model::{BentBoard, PlenopticCamera};
 
-/// A problem for the solver.
+/// Problem for the solver.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Problem<'a> {
     pub camera: &'a PlenopticCamera,

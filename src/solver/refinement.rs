@@ -1,4 +1,4 @@
-//! The refinement.
+//! Refinement of camera, board and poses.
 
 use nalgebra::Isometry3;
 
@@ -8,26 +8,26 @@ use super::{bridge, conversions};
 use crate::error::Result;
 use crate::model::{BoardShape, PlenopticCamera};
 
-/// The result of the refinement.
+/// Result of the refinement.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refinement {
-    /// The refined camera.
+    /// Refined camera.
     pub camera: PlenopticCamera,
-    /// The refined shape of the board.
+    /// Refined shape of the board.
     pub shape: BoardShape,
-    /// The refined `camera_from_board`, in the order given.
+    /// Refined `camera_from_board`, in the given order.
     pub poses: Vec<Isometry3<f64>>,
     /// Initial cost.
     pub initial_cost: f64,
     /// Final cost.
     pub cost: f64,
-    /// The contribution of the features of each pose to `cost`, in the order of `poses`.
+    /// Contribution of the features of each pose to `cost`, in the order of `poses`.
     pub frame_costs: Vec<f64>,
-    /// Why it stopped.
+    /// Reason why the solver stopped.
     pub termination: Termination,
-    /// The reason as stated by Ceres.
+    /// Reason as stated by Ceres.
     pub message: String,
-    /// Ceres' full report.
+    /// Full report of Ceres.
     pub report: String,
     /// Wall time of the solve, s.
     pub time_s: f64,
@@ -36,7 +36,7 @@ pub struct Refinement {
 }
 
 impl Refinement {
-    /// This refinement and `next`, which continued from its end, as one.
+    /// Joins this refinement and `next`, which continued from its end.
     pub(crate) fn followed_by(self, next: Self) -> Self {
         let last = self.iterations.last().map_or(0, |i| i.number);
         let later = next.iterations.iter().skip(1).map(|i| Iteration {

@@ -1,7 +1,7 @@
-//! Observations drawn from the camera model itself, with Gaussian noise of known size.
+//! Observations simulated with the camera model itself, with Gaussian noise of known size.
 //!
-//! They show whether the estimation is right: it has to recover the parameters within their predicted
-//! uncertainty. They cannot show whether the model is right, since they are made with it.
+//! They test the estimation, which has to recover the parameters within their predicted uncertainty. They cannot test the
+//! model, since they are made with it.
 
 use nalgebra::{Isometry3, Vector2};
 
@@ -14,12 +14,12 @@ use crate::model::{
     PlenopticCamera,
 };
 
-/// A corner counts as visible if it lies at least this far inside its micro-image, px: nearer to the
-/// edge a detector cannot use both sides of it.
+/// Least distance of a visible corner from the edge of its micro-image, px: nearer to the edge a detector cannot use both sides
+/// of the corner.
 const EDGE_MARGIN_PX: f64 = 3.0;
 
-/// The centres of all micro-images that lie wholly in the image, and the features of every corner
-/// in every micro-image that shows it, frame by frame. The same seed gives the same noise.
+/// Simulates the centres of all micro-images that lie completely in the image, and the features of every corner in every
+/// micro-image that shows it, frame by frame. The same seed gives the same noise.
 pub fn synthesize(
     camera: &PlenopticCamera,
     board: &Board,
@@ -30,7 +30,7 @@ pub fn synthesize(
     synthesize_bent(camera, &BentBoard::from(*board), poses, noise, seed)
 }
 
-/// The same of a board that is not flat.
+/// Simulates the observations of a board that is not flat, like [`synthesize`].
 pub fn synthesize_bent(
     camera: &PlenopticCamera,
     board: &BentBoard,

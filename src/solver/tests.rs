@@ -1,4 +1,4 @@
-//! The bridge against the Rust side of the model.
+//! Comparison of the bridge with the Rust side of the model.
 
 mod absurd;
 
@@ -70,7 +70,7 @@ fn both_sides_name_the_same_parameters() {
 
 #[test]
 fn distortion_is_the_formula_of_the_model() {
-    // r² = 2.25 + 4: x (Q1 r² + Q2 r⁴ + Q3 r⁶) + P1 (r² + 2x²) + 2 P2 x y, and likewise along y.
+    // The formula is x (Q1 r² + Q2 r⁴ + Q3 r⁶) + P1 (r² + 2x²) + 2 P2 x y, likewise along y, with r² = 2.25 + 4.
     let camera = camera(Packing::Orthogonal, 5, 4);
     let r2: f64 = 6.25;
     let radial = r2 + 2.0 * r2.powi(2) + 3.0 * r2.powi(3);

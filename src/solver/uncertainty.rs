@@ -12,71 +12,69 @@ const POSE_PARAMETERS: usize = 6;
 /// Index of the translation along z in a pose (rotation first).
 const POSE_Z: usize = 5;
 
-/// A parameter's component of a weak direction.
+/// Component of a weak direction along a parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Component {
     /// Name of the parameter.
     pub name: String,
-    /// Its change along the direction, in its unit.
+    /// Change along the direction, in the unit of the parameter.
     pub change: f64,
-    /// Its unit.
+    /// Unit of the parameter.
     pub unit: &'static str,
-    /// The share of its variance that the direction explains, or, if the direction is not determined,
-    /// the parameter's share of the direction's length; 0 to 1.
+    /// Share of the variance of the parameter that the direction explains or, if the direction is not determined, share of the
+    /// parameter in the length of the direction; 0 to 1.
     pub share: f64,
 }
 
-/// A direction of parameter space that the observations determine weakly.
+/// Direction of parameter space that the observations determine weakly.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WeakDirection {
-    /// Whether the observations determine it at all. If not, its changes have no relation to standard
-    /// deviations.
+    /// True if the observations determine it at all. Otherwise its changes have no relation to standard deviations.
     pub determined: bool,
-    /// Intrinsic parameters that it moves most, the largest share first.
+    /// Intrinsic parameters that change most along it, the largest share first.
     pub components: Vec<Component>,
     /// Mean change of the board distance along it, mm.
     pub board_distance_mm: f64,
-    /// The largest share of the variance of any board distance that it explains, 0 to 1.
+    /// Largest share of the variance of any board distance that it explains, 0 to 1.
     pub board_distance_share: f64,
 }
 
-/// A parameter is named if the direction explains at least this share of its variance.
+/// Least explained share of the variance of a parameter for which it is named.
 const NAMED_SHARE: f64 = 0.5;
-/// In a direction that is not determined, a parameter is named if it has at least this share of the
-/// length.
+/// Least share of a parameter in the length of a direction that is not determined, for which it is named.
 const NAMED_SHARE_UNDETERMINED: f64 = 0.01;
 
 impl Uncertainty {
-    /// Number of parameters.
+    /// Returns the number of parameters.
     #[must_use]
     pub fn size(&self) -> usize {
         self.covariance.rows
     }
 
-    /// The intrinsic parameter (its index) on which boards and micro-image centres contradict each other
-    /// most, and by how many σ; `None` if they agree within 3 σ. No covariance contains it.
+    /// Returns the index of the intrinsic parameter on which boards and micro-image centres contradict each other most, and the
+    /// contradiction in σ; `None` if they agree within 3 σ. No covariance contains it.
     #[must_use]
     pub fn contradiction(&self) -> Option<(usize, f64)> {
         let row = usize::try_from(self.contradicted_row).ok()?;
         Some((self.free_intrinsics[row], self.contradiction_std_devs))
     }
 
-    /// Standard deviation of each intrinsic parameter in the order of
-    /// `PlenopticCamera::intrinsics`; `None` for those fixed, infinite for those not determined.
+    /// Returns the standard deviation of each intrinsic parameter in the order of `PlenopticCamera::intrinsics`; `None` for
+    /// fixed ones, infinite for undetermined ones.
     #[must_use]
     pub fn intrinsic_std_devs(&self, lens_types: usize) -> Vec<Option<f64>> {
         self.by_intrinsic(lens_types, |row| self.std_dev(row))
     }
 
-    /// Indices into [`Parameter::shared`] of the free parameters that are not determined.
+    /// Returns the indices into [`Parameter::shared`] of the free parameters that are not determined.
     #[must_use]
     pub fn undetermined_intrinsics(&self) -> Vec<usize> {
         let of_row = |(&index, &known): (&usize, &bool)| (!known).then_some(index);
         self.free_intrinsics.iter().zip(&self.determined).filter_map(of_row).collect()
     }
 
-    /// Of each parameter of camera and board its standard deviation, that if errors are taken as independent,
-    /// and by what fraction of itself the first is uncertain, if it is known; `None` for fixed parameters.
+    /// Returns for each parameter of camera and board its standard deviation, its standard deviation for independent errors,
+    /// and the relative uncertainty of the first, if known; `None` for fixed parameters.
     #[must_use]
     pub fn shared_std_devs(&self, lens_types: usize) -> Vec<Option<(f64, f64, Option<f64>)>> {
         let of_row = |row: usize| {
@@ -87,21 +85,21 @@ impl Uncertainty {
         self.by_shared(lens_types, of_row)
     }
 
-    /// Standard deviation of each parameter of the board's shape; likewise.
+    /// Returns the standard deviation of each parameter of the board shape; `None` for fixed parameters.
     #[must_use]
     pub fn shape_std_devs(&self, lens_types: usize) -> [Option<f64>; SHAPE] {
         let all = self.by_shared(lens_types, |row| self.std_dev(row));
         std::array::from_fn(|i| all[all.len() - SHAPE + i])
     }
 
-    /// Row of each parameter of the board's shape among the free ones; `None` for those fixed.
+    /// Returns the row of each parameter of the board shape among the free ones; `None` for fixed ones.
     pub(crate) fn shape_rows(&self, lens_types: usize) -> [Option<usize>; SHAPE] {
         let all = self.by_shared(lens_types, |row| row);
         std::array::from_fn(|i| all[all.len() - SHAPE + i])
     }
 
-    /// Standard deviations of the parameters of a pose: rotation vector (rad), translation (mm);
-    /// infinite if not determined.
+    /// Returns the standard deviations of the parameters of a pose: rotation vector (rad), translation (mm); infinite if not
+    /// determined.
     #[must_use]
     pub fn pose_std_devs(&self, pose: usize) -> [f64; POSE_PARAMETERS] {
         let first = self.free_intrinsics.len() + POSE_PARAMETERS * pose;
@@ -116,22 +114,22 @@ impl Uncertainty {
         if self.determined[row] { covariance[(row, row)].sqrt() } else { f64::INFINITY }
     }
 
-    /// What [`Uncertainty::intrinsic_std_devs`] would be if all errors were independent.
+    /// Returns the values of [`Uncertainty::intrinsic_std_devs`] for independent errors.
     #[must_use]
     pub fn independent_std_devs(&self, lens_types: usize) -> Vec<Option<f64>> {
         self.by_intrinsic(lens_types, |row| self.std_dev_in(&self.independent_covariance, row))
     }
 
-    /// By what fraction of itself each standard deviation is uncertain, √(1/2ν) with ν degrees of
-    /// freedom; `None` for fixed parameters, and if errors are taken as independent.
+    /// Returns the relative uncertainty of each standard deviation, √(1/2ν) with ν degrees of freedom; `None` for fixed
+    /// parameters, and if errors are taken as independent.
     #[must_use]
     pub fn std_dev_uncertainties(&self, lens_types: usize) -> Vec<Option<f64>> {
         let of_row = |row: usize| self.freedom.get(row).map(|freedom| (0.5 / freedom).sqrt());
         self.by_intrinsic(lens_types, of_row).into_iter().map(Option::flatten).collect()
     }
 
-    /// The standard deviations that the jackknife over frames gives, √((n − 1)/n Σ(θᵢ − θ̄)²), with the
-    /// changes θᵢ to first order instead of n calibrations; `None` for fixed parameters.
+    /// Returns the standard deviations from the jackknife over frames, √((n − 1)/n Σ(θᵢ − θ̄)²), with the changes θᵢ to first
+    /// order instead of n calibrations; `None` for fixed parameters.
     #[must_use]
     pub fn jackknife_std_devs(&self, lens_types: usize) -> Vec<Option<f64>> {
         let frames = self.left_out_changes.rows as f64;
@@ -140,7 +138,7 @@ impl Uncertainty {
         self.by_intrinsic(lens_types, |row| ((frames - 1.0) * variance(row)).sqrt())
     }
 
-    /// A value for each intrinsic parameter, from the row of the free ones.
+    /// Returns a value for each intrinsic parameter, from its row among the free ones.
     fn by_intrinsic<T: Clone>(
         &self,
         lens_types: usize,
@@ -151,7 +149,7 @@ impl Uncertainty {
         values
     }
 
-    /// A value for each parameter of camera and board, from the row of the free ones.
+    /// Returns a value for each parameter of camera and board, from its row among the free ones.
     fn by_shared<T: Clone>(
         &self,
         lens_types: usize,
@@ -164,7 +162,7 @@ impl Uncertainty {
         values
     }
 
-    /// Correlation matrix of the free parameters of camera and board; 0 where one is not determined.
+    /// Returns the correlation matrix of the free parameters of camera and board; 0 if one is not determined.
     #[must_use]
     pub fn intrinsic_correlations(&self) -> DMatrix<f64> {
         let n = self.free_intrinsics.len();
@@ -178,7 +176,7 @@ impl Uncertainty {
         })
     }
 
-    /// The weakest directions that move intrinsic parameters, the weakest first.
+    /// Returns the weakest directions that change intrinsic parameters, the weakest first.
     #[must_use]
     pub fn weakest_directions(&self, lens_types: usize) -> Vec<WeakDirection> {
         let undetermined = self.size() - self.rank;
@@ -201,7 +199,7 @@ impl Uncertainty {
             if determined {
                 (square / self.covariance[(row, row)].max(f64::MIN_POSITIVE)).min(1.0)
             } else {
-                // Without any information, the unit of the scaled space is that of the parameter.
+                // Without any information, the scaled space has the unit of the parameter.
                 let information = self.information[row];
                 square * if information > 0.0 { information } else { 1.0 }
             }
@@ -223,7 +221,7 @@ impl Uncertainty {
             .map(|(component, _)| component)
             .collect();
         components.sort_by(|a, b| b.share.total_cmp(&a.share));
-        // The sign of a direction is arbitrary: choose it so that the first parameter named grows.
+        // The sign of a direction is arbitrary: with this choice the first named parameter grows.
         let sign = components.first().map_or(1.0, |first| first.change.signum());
         for component in &mut components {
             component.change *= sign;
@@ -240,7 +238,7 @@ impl Uncertainty {
     }
 }
 
-/// Uncertainty of the parameters at a minimum, with systematic errors of the observations.
+/// Computes the uncertainty of the parameters at a minimum, with systematic errors of the observations.
 pub(crate) fn uncertainty(
     problem: &Problem,
     cost: &CostOptions,
@@ -250,7 +248,7 @@ pub(crate) fn uncertainty(
     Ok(ffi::uncertainty(&problem.parts(), cost, systematic, threads)?)
 }
 
-/// The information of each pose's features on the free parameters of camera and board, with the pose unknown.
+/// Computes the information of the features of each pose on the free parameters of camera and board, with the pose unknown.
 pub(crate) fn frame_information(
     problem: &Problem,
     cost: &CostOptions,

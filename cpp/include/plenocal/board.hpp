@@ -1,4 +1,4 @@
-// The board as it is: a flat grid of corners, bent and stretched a little.
+// Board with its shape: a flat grid of corners, slightly bent and stretched.
 #pragma once
 
 #include <stdexcept>
@@ -7,16 +7,16 @@
 
 namespace plenocal {
 
-/// By how much a board is not the flat grid that it is meant to be, the same in all frames. With
-/// (x, y) from corner 0 and xi and eta from -1 to 1 over the corners along x and y,
+/// Deviation of a board from a flat grid of squares, the same in all frames. With (x, y) from
+/// corner 0, and xi and eta from -1 to 1 over the corners along x and y,
 ///   corner = (x (1 + aspect/2), y (1 - aspect/2), sag_x xi^2 + sag_y eta^2 + twist xi eta),
 /// where z of the board points away from the camera.
 template <typename T>
 struct BoardShape {
-  T sag_x;   ///< mm: how much further away the ends of the rows are than their middle
-  T sag_y;   ///< mm: the same of the columns
-  T twist;   ///< mm: how much further away the first and the last corner are than the middle
-  T aspect;  ///< 1: squares are longer along x than along y by this fraction
+  T sag_x;   ///< mm: distance of the ends of the rows behind their middle
+  T sag_y;   ///< mm: distance of the ends of the columns behind their middle
+  T twist;   ///< mm: distance of the first and the last corner behind the middle
+  T aspect;  ///< 1: fraction by which squares are longer along x than along y
 
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
   template <typename Self, typename F>
@@ -28,10 +28,11 @@ struct BoardShape {
 static_assert(sizeof(BoardShape<double>) == kBoardShapeParameters * sizeof(double),
               "every member is a parameter");
 
-/// The board that all features show. The size of its squares is not a parameter: images do not tell
-/// it from the lengths of the camera.
+/// Board that all features show. The size of its squares is not a parameter, since images cannot
+/// separate it from the lengths of the camera.
 struct Board {
-  /// mm: from the middle of all corners to the outermost along x and y; not needed of a flat board.
+  /// Distances from the middle of all corners to the outermost along x and y, mm; not needed for a
+  /// flat board.
   double half_width = 0.0, half_height = 0.0;
   BoardShape<double> shape{};
 
@@ -40,7 +41,8 @@ struct Board {
   }
 };
 
-/// Where a corner of the flat grid (mm, board frame) is on a board of this size and shape.
+/// Returns the position of a corner of the flat grid (mm, board frame) on a board of this size and
+/// shape.
 template <typename T>
 Vector3<T> corner_of(const Board& size, const BoardShape<T>& shape, const Vector3<double>& flat) {
   const double xi = flat.x / size.half_width - 1.0;
@@ -49,8 +51,8 @@ Vector3<T> corner_of(const Board& size, const BoardShape<T>& shape, const Vector
           flat.z + shape.sag_x * (xi * xi) + shape.sag_y * (eta * eta) + shape.twist * (xi * eta)};
 }
 
-/// Where a corner of the flat grid is on a board. Throws std::invalid_argument if a board that is
-/// not flat has no size.
+/// Returns the position of a corner of the flat grid on a board. Throws std::invalid_argument if a
+/// board that is not flat has no size.
 inline Vector3<double> corner_of(const Board& board, const Vector3<double>& flat) {
   if (!board.is_flat() && !(board.half_width > 0.0 && board.half_height > 0.0)) {
     throw std::invalid_argument("a board that is not flat needs a size");
@@ -58,8 +60,8 @@ inline Vector3<double> corner_of(const Board& board, const Vector3<double>& flat
   return board.is_flat() ? flat : corner_of(board, board.shape, flat);
 }
 
-/// Names of the parameters that all frames share: `intrinsic_names`, then the shape of the board.
-/// Indices of shared parameters refer to this order.
+/// Returns the names of the parameters that all frames share: `intrinsic_names`, then the shape of
+/// the board. Indices of shared parameters refer to this order.
 inline std::vector<std::string> shared_names(int lens_types) {
   std::vector<std::string> names = intrinsic_names(lens_types);
   for (const Parameter* p = kBoardShapeTable; p != std::end(kParameters); ++p) {
@@ -68,9 +70,9 @@ inline std::vector<std::string> shared_names(int lens_types) {
   return names;
 }
 
-/// Throws std::invalid_argument with the offending value unless a board can be like that:
-/// everything finite, a size unless it is flat, the aspect below 0.1, and sag and twist below half
-/// the diagonal.
+/// Throws std::invalid_argument with the offending value unless a board is possible: everything
+/// finite, a size unless it is flat, the aspect below 0.1, and sag and twist below half the
+/// diagonal.
 PLENOCAL_API void validate(const Board& board);
 
 }  // namespace plenocal

@@ -1,8 +1,8 @@
-// The multi-focus plenoptic camera as plain values: its parts, their parameters and units.
+// Multi-focus plenoptic camera as plain values: its parts, their parameters and units.
 //
-// Conventions. Lengths in mm, angles in rad, image quantities in px; pixel (0, 0) is the centre of
+// Conventions: lengths in mm, angles in rad, image quantities in px; pixel (0, 0) is the centre of
 // the top-left pixel. The camera frame has its origin at the centre O of the main lens, z towards
-// the scene, x right, y down. The raw image is stored upright, so pixel axes run against the
+// the scene, x right, y down. The raw image is stored upright, so pixel axes are opposite to the
 // optical image: u = u0 - x/s and v = v0 - y/s for a point (x, y) of the sensor plane.
 #pragma once
 
@@ -19,15 +19,15 @@
 
 namespace plenocal {
 
-/// A vector in space, or a point by its coordinates. T is double, or a ceres::Jet for derivatives;
+/// Vector in space, or coordinates of a point. T is double, or a ceres::Jet for derivatives;
 /// likewise below.
 template <typename T>
 struct Vector3 {
   T x, y, z;
 };
 
-/// How the micro-lenses are packed: on a square lattice, or on a hexagonal one with straight rows
-/// or straight columns, where every other row (column) is shifted by +1/2 pitch. Even and odd are
+/// Packing of the micro-lenses: on a square lattice, or on a hexagonal one with straight rows or
+/// straight columns, where every other row (column) is shifted by +1/2 pitch. Even and odd refer to
 /// the indices of the shifted rows (columns).
 enum class Packing {
   kOrthogonal,            ///< square; nothing is shifted
@@ -37,14 +37,14 @@ enum class Packing {
   kHexagonalColumnsOdd,   ///< columns 1, 3, 5 ... are shifted along v
 };
 
-/// Position of a micro-lens in the plane of the array, in pitches, about the centre of the array.
+/// Position of a micro-lens in the plane of the array, in pitches from the centre of the array.
 struct Node {
   double x;
   double y;
 };
 
-/// The micro-lens array as a lattice of indices: micro-lens (k, l) forms micro-image (k, l); k
-/// grows with u and l with v.
+/// Micro-lens array as a lattice of indices: micro-lens (k, l) forms micro-image (k, l); k grows
+/// with u and l with v.
 struct Lattice {
   Packing packing = Packing::kOrthogonal;
   int columns = 0;  ///< number of micro-lenses along k
@@ -59,13 +59,14 @@ struct Lattice {
     return packing == Packing::kHexagonalColumnsEven || packing == Packing::kHexagonalColumnsOdd;
   }
 
-  /// Position of (k, l) about the midpoint of the bounding box of all nodes, along u and v.
+  /// Returns the position of (k, l) from the midpoint of the bounding box of all nodes, along u and
+  /// v.
   Node node(int k, int l) const {
     const double kRowDistance = std::sqrt(3.0) / 2.0;
     const auto centred = [](int index, int count) { return index - (count - 1) / 2.0; };
     const auto shift = [this](int row) { return (row & 1) == shifted_parity() ? 0.5 : 0.0; };
-    // Along the straight rows, of which there are `across`: together, shifted and unshifted rows
-    // extend half a pitch further.
+    // `across` is the number of straight rows: together, shifted and unshifted rows extend half a
+    // pitch further.
     const auto staggered = [&](int index, int count, int row, int across) {
       return centred(index, count) + shift(row) - (across > 1 ? 0.25 : shift(0));
     };
@@ -78,8 +79,8 @@ struct Lattice {
     return {centred(k, columns), centred(l, rows)};
   }
 
-  /// The indices (k, l) whose node is the nearest; they may lie outside the array. Far away the
-  /// result is only that: outside.
+  /// Returns the indices (k, l) of the nearest node; they may lie outside the array. Far away, the
+  /// result is only guaranteed to lie outside.
   std::array<int, 2> nearest(const Node& at) const {
     const double kRowDistance = std::sqrt(3.0) / 2.0;
     const bool by_columns = has_straight_columns();
@@ -87,7 +88,7 @@ struct Lattice {
     const double across = by_columns ? at.x : at.y;
     const int row_count = by_columns ? columns : rows, count = by_columns ? rows : columns;
     const auto bounded = [](double index, int count) {
-      // The comparison is false of what is not a number.
+      // The comparison is false for NaN.
       return index > -2.0 ? static_cast<int>(std::floor(std::min(index, count + 1.0))) : -2;
     };
     const auto index = [by_columns](int i, int row) {
@@ -112,39 +113,39 @@ struct Lattice {
     return best;
   }
 
-  /// Index of the lens type of (k, l), from 0. With fewer than three types, or on a square lattice,
-  /// all have type 0. Three types follow the unique 3-colouring of the hexagonal lattice, numbered
-  /// so that micro-lens (0, 0) has type 0 and the next one along the straight rows (columns)
-  /// type 1.
+  /// Returns the index of the lens type of (k, l), from 0. With fewer than three types, or on a
+  /// square lattice, all have type 0. Three types follow the unique 3-colouring of the hexagonal
+  /// lattice, numbered so that micro-lens (0, 0) has type 0 and the next one along the straight
+  /// rows (columns) type 1.
   int lens_type(int k, int l, int types) const {
     if (types < 3 || packing == Packing::kOrthogonal) return 0;
     const int along = has_straight_rows() ? k : l;
     const int across = has_straight_rows() ? l : k;
     const int type = (along % 3 + (shifted_parity() == 0 ? 1 : 2) * (across & 1)) % 3;
-    // Outside of the array, indices may be negative.
+    // Indices outside the array may be negative.
     return type < 0 ? type + 3 : type;
   }
 
  private:
-  // Parity of the shifted rows (columns).
+  // Returns the parity of the shifted rows (columns).
   int shifted_parity() const {
     return packing == Packing::kHexagonalRowsEven || packing == Packing::kHexagonalColumnsEven ? 0
                                                                                                : 1;
   }
 };
 
-/// Where the main lens images points: a thin lens with lateral Brown-Conrady distortion (paper,
-/// section 2.1) and a curved image of a plane. A thick lens does the same, with O as its image-side
-/// principal point, if all objects are moved along z by the distance between its principal planes.
+/// Main lens: a thin lens with lateral Brown-Conrady distortion (paper, section 2.1) and field
+/// curvature. The model also describes a thick lens, with O as its image-side principal point, if
+/// all objects are moved along z by the distance between its principal planes.
 template <typename T>
 struct MainLens {
-  T focal_length;   ///< F, mm
-  T radial[3];      ///< Q1, Q2, Q3 in mm^-2, mm^-4, mm^-6
-  T tangential[2];  ///< P1, P2 in mm^-1
-  /// kappa, mm^-1: images at r off the axis are (kappa + kappa_m |m|) r^2 nearer to the lens, where
-  /// m is the magnification
+  T focal_length;   ///< focal length F, mm
+  T radial[3];      ///< radial distortion Q1, Q2, Q3 in mm^-2, mm^-4, mm^-6
+  T tangential[2];  ///< tangential distortion P1, P2 in mm^-1
+  /// field curvature kappa, mm^-1: images at the distance r from the axis are (kappa + kappa_m |m|)
+  /// r^2 nearer to the lens, at the magnification m
   T field_curvature;
-  T field_curvature_growth;  ///< kappa_m, mm^-1: kappa is that of objects far away
+  T field_curvature_growth;  ///< growth kappa_m, mm^-1; kappa applies to objects far away
 
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
   template <typename Self, typename F>
@@ -154,8 +155,8 @@ struct MainLens {
   }
 };
 
-/// Centre P of the exit pupil of the main lens in the camera frame, mm: where the light that
-/// reaches a micro-lens comes from. The paper's lies in the main lens, at O. z is negative towards
+/// Centre P of the exit pupil of the main lens in the camera frame, mm, the origin of the light
+/// that reaches a micro-lens. In the paper it lies in the main lens, at O. z is negative towards
 /// the array.
 template <typename T>
 struct ExitPupil {
@@ -169,15 +170,15 @@ struct ExitPupil {
   }
 };
 
-/// The micro-lens array and the sensor behind it.
+/// Micro-lens array and the sensor behind it. Distances are along the optical axis.
 template <typename T>
 struct MicroLensArray {
-  T principal_point[2];  ///< (u0, v0), px: where the optical axis meets the sensor
-  T mla_to_sensor;       ///< d, mm, along the optical axis at the centre of the array
-  Vector3<T> rotation;   ///< theta_x, theta_y, theta_z, rad: R_MLA = Rz Ry Rx
-  T offset[2];           ///< t_x, t_y, mm: centre of the array in the camera frame
-  T lens_to_mla;         ///< D, mm, along the optical axis at the centre of the array
-  T pitch;               ///< Delta C, mm: distance between neighbours, along x
+  T principal_point[2];  ///< principal point (u0, v0), px, where the optical axis meets the sensor
+  T mla_to_sensor;       ///< distance d to the sensor, mm, in the middle of the array
+  Vector3<T> rotation;   ///< rotation theta_x, theta_y, theta_z, rad: R_MLA = Rz Ry Rx
+  T offset[2];           ///< centre t_x, t_y of the array in the camera frame, mm
+  T lens_to_mla;         ///< distance D from the main lens, mm, in the middle of the array
+  T pitch;               ///< distance Delta C between neighbours along x, mm
   T pitch_ratio;         ///< pitch along y over pitch along x: 1 for a regular lattice
 
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
@@ -188,7 +189,7 @@ struct MicroLensArray {
   }
 };
 
-/// Number of parameters of `MainLens`, `ExitPupil` or `MicroLensArray`.
+/// Returns the number of parameters of `MainLens`, `ExitPupil` or `MicroLensArray`.
 template <template <typename> class Part>
 constexpr int parameter_count() {
   const Part<double> part{};
@@ -206,7 +207,7 @@ static_assert(sizeof(ExitPupil<double>) == kExitPupilParameters * sizeof(double)
 static_assert(sizeof(MicroLensArray<double>) == kArrayParameters * sizeof(double),
               "every member is a parameter");
 
-/// A part's parameters as the solver's parameter block.
+/// Converts the parameters of a part to the solver's parameter block.
 template <template <typename> class Part, typename T>
 std::array<T, parameter_count<Part>()> to_block(const Part<T>& part) {
   std::array<T, parameter_count<Part>()> block;
@@ -215,7 +216,7 @@ std::array<T, parameter_count<Part>()> to_block(const Part<T>& part) {
   return block;
 }
 
-/// The part of a parameter block: from_block<MainLens>(block).
+/// Creates a part from a parameter block: from_block<MainLens>(block).
 template <template <typename> class Part, typename T>
 Part<T> from_block(const T* block) {
   Part<T> part;
@@ -223,7 +224,8 @@ Part<T> from_block(const T* block) {
   return part;
 }
 
-/// A part with its parameters as constants of another type: cast<ceres::Jet<double, 6>>(lens).
+/// Returns a part with its parameters as constants of another type:
+/// cast<ceres::Jet<double, 6>>(lens).
 template <typename T, template <typename> class Part>
 Part<T> cast(const Part<double>& part) {
   const auto block = to_block(part);
@@ -232,21 +234,21 @@ Part<T> cast(const Part<double>& part) {
   return from_block<Part>(constants.data());
 }
 
-/// A whole camera. I = `micro_lens_focal_lengths.size()` lens types: 0 (an array of pinholes), 1,
-/// or 3 on a hexagonal lattice.
+/// Whole camera. It has I = `micro_lens_focal_lengths.size()` lens types: 0 (an array of pinholes),
+/// 1, or 3 on a hexagonal lattice.
 struct Camera {
   Lattice lattice;
-  double pixel_size = 0.0;    ///< s, mm
-  int width = 0, height = 0;  ///< of the sensor, px; 0 if that is not known
+  double pixel_size = 0.0;    ///< pixel size s, mm
+  int width = 0, height = 0;  ///< size of the sensor, px; 0 if not known
   MainLens<double> main_lens{};
   ExitPupil<double> exit_pupil{};
   MicroLensArray<double> mla{};
-  std::vector<double> micro_lens_focal_lengths;  ///< f_1 .. f_I, mm
+  std::vector<double> micro_lens_focal_lengths;  ///< focal lengths f_1 .. f_I, mm
 
   int lens_types() const { return static_cast<int>(micro_lens_focal_lengths.size()); }
 };
 
-/// The largest number of micro-lenses along a side, and of pixels of a sensor.
+/// Largest number of micro-lenses along a side, and of pixels of a sensor.
 constexpr int kMaxMicroLenses = 1 << 16;
 constexpr long long kMaxPixels = 1LL << 28;
 
@@ -264,7 +266,7 @@ void for_each_parameter(AnyCamera& camera, F&& f) {
   }
 }
 
-/// Names of the intrinsic parameters in the order of `for_each_parameter`.
+/// Returns the names of the intrinsic parameters in the order of `for_each_parameter`.
 inline std::vector<std::string> intrinsic_names(int lens_types) {
   std::vector<std::string> names;
   for (int i = 0; i < kPinholeParameters + lens_types; ++i) names.emplace_back(kParameters[i].name);

@@ -1,4 +1,4 @@
-// What a shared library shows: everything else in it is hidden.
+// Symbols that a shared library exports; everything else in it is hidden.
 #pragma once
 
 #if defined(__GNUC__)

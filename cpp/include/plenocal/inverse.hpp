@@ -1,10 +1,10 @@
-// The inverse model: from a pixel back into space.
+// Inverse model: from a pixel back into space.
 //
-// A pixel seen through a micro-lens is light along a line behind the main lens, from the pixel
-// through the centre C of the micro-lens. The image p' of a point lies on it, at the virtual depth
-// nu, and the main lens images the line to a ray in object space. Templates, like the forward model
-// (projection.hpp), so that the same code gives derivatives. `BackProjection` (back_projection.hpp)
-// is the same for whole cameras, with checks.
+// The light of a pixel seen through a micro-lens lies along a line behind the main lens, from the
+// pixel through the centre C of the micro-lens. The image p' of a point lies on it, at the virtual
+// depth nu, and the main lens images the line to a ray in object space. The functions are
+// templates, like the forward model (projection.hpp), so that the same code gives derivatives.
+// `BackProjection` (back_projection.hpp) applies them to whole cameras, with checks.
 #pragma once
 
 #include <cmath>
@@ -14,29 +14,30 @@
 
 namespace plenocal {
 
-/// The value of a number without its derivatives.
+/// Returns the value of a number without its derivatives.
 inline double value_of(double x) { return x; }
 template <typename Jet>
 auto value_of(const Jet& x) -> decltype(x.a) {
   return x.a;
 }
 
-/// The derivative of (x, y) -> (x, y) + `distortion`, which is symmetric.
+/// Derivative of (x, y) -> (x, y) + `distortion`, which is symmetric.
 template <typename T>
 struct DistortionSlope {
   T xx, xy, yy;
 
   T determinant() const { return xx * yy - xy * xy; }
-  /// Whether neighbours stay neighbours: polynomials turn back far outside the image.
+  /// Returns true if distortion keeps the order of neighbours: polynomials turn back far outside
+  /// the image.
   bool is_regular() const { return determinant() > 0.0 && xx > 0.0; }
-  /// What moves to a change of the distorted point, to first order.
+  /// Returns the change of the ideal point for a change of the distorted point, to first order.
   Vector2<T> undo(const Vector2<T>& change) const {
     const T inverse = 1.0 / determinant();
     return {(yy * change.x - xy * change.y) * inverse, (xx * change.y - xy * change.x) * inverse};
   }
 };
 
-/// `DistortionSlope` at the ideal image point (x, y), mm.
+/// Returns the `DistortionSlope` at the ideal image point (x, y), mm.
 template <typename T>
 DistortionSlope<T> distortion_slope(const MainLens<T>& lens, const T& x, const T& y) {
   const T* q = lens.radial;
@@ -49,7 +50,7 @@ DistortionSlope<T> distortion_slope(const MainLens<T>& lens, const T& x, const T
           radial + y * y * slope + 6.0 * t[1] * y + 2.0 * t[0] * x};
 }
 
-/// A part of the camera without derivatives.
+/// Returns a part of the camera without derivatives.
 template <template <typename> class Part, typename T>
 Part<double> values_of(const Part<T>& part) {
   const auto block = to_block(part);
@@ -58,16 +59,16 @@ Part<double> values_of(const Part<T>& part) {
   return from_block<Part>(values.data());
 }
 
-/// The ideal image point that distortion moves to `distorted`, both in mm in the camera frame. None
-/// if there is none on the axis's side of the fold, where polynomials turn back.
+/// Returns the ideal image point that distortion moves to `distorted`, both in mm in the camera
+/// frame. None if there is none on the axis's side of the fold, where polynomials turn back.
 template <typename T>
 std::optional<Vector2<T>> undistort(const MainLens<T>& lens, const Vector2<T>& distorted) {
   constexpr int kMaxSteps = 50;
-  constexpr double kSettled = 1e-15;   // of a step over the distance from the axis
-  constexpr double kRounding = 1e-12;  // likewise, of a step that is not smaller than the last
+  constexpr double kSettled = 1e-15;   // step over the distance from the axis
+  constexpr double kRounding = 1e-12;  // the same for a step that is not smaller than the last
   const MainLens<double> at = values_of(lens);
   const Vector2<double> target{value_of(distorted.x), value_of(distorted.y)};
-  // Newton's method. Where a step would leave the axis's side of the fold, half of it has to do.
+  // Newton's method. A step that would leave the axis's side of the fold is halved.
   Vector2<double> p = target;
   for (int i = 0; i < kMaxSteps && !distortion_slope(at, p.x, p.y).is_regular(); ++i) {
     p = {0.5 * p.x, 0.5 * p.y};
@@ -91,7 +92,7 @@ std::optional<Vector2<T>> undistort(const MainLens<T>& lens, const Vector2<T>& d
     last = length;
   }
   if (!settled || !distortion_slope(at, p.x, p.y).is_regular()) return std::nullopt;
-  // One more step in T has the derivatives of the solution.
+  // One more step in T gives the derivatives of the solution.
   const T x(p.x), y(p.y);
   const Vector2<T> shift = distortion(lens, x, y);
   const Vector2<T> step =
@@ -99,9 +100,9 @@ std::optional<Vector2<T>> undistort(const MainLens<T>& lens, const Vector2<T>& d
   return Vector2<T>{x + step.x, y + step.y};
 }
 
-/// The point in the camera frame (mm) whose image through the main lens is p': the inverse of
-/// `main_lens_image`. None if p' is not the image of a point beyond the focal plane, or distortion
-/// has no inverse there.
+/// Returns the point in the camera frame (mm) whose image through the main lens is p': the inverse
+/// of `main_lens_image`. None if p' is not the image of a point beyond the focal plane, or if
+/// distortion has no inverse there.
 template <typename T>
 std::optional<Vector3<T>> object_point(const MainLens<T>& lens, const Vector3<T>& image) {
   const std::optional<Vector2<T>> ideal = undistort(lens, {image.x, image.y});
@@ -115,10 +116,10 @@ std::optional<Vector3<T>> object_point(const MainLens<T>& lens, const Vector3<T>
                     lens.focal_length - lens.focal_length / magnification};
 }
 
-/// The image p' at the virtual depth nu on the line from a pixel through the centre C of a
-/// micro-lens: nu is the distance from the micro-lens to p' in units of that to the sensor,
-/// positive behind the array. The distance is along the optical axis, and so is that of the tilted
-/// array.
+/// Returns the image p' at the virtual depth nu on the line from a pixel through the centre C of a
+/// micro-lens. nu is the distance from the micro-lens to p' over the distance from the micro-lens
+/// to the sensor, positive behind the array. Both distances are along the optical axis, also for a
+/// tilted array.
 template <typename T>
 Vector3<T> image_at(const ArrayOptics<T>& array, const Vector3<T>& center, const Pixel<T>& pixel,
                     const T& virtual_depth) {
@@ -128,14 +129,14 @@ Vector3<T> image_at(const ArrayOptics<T>& array, const Vector3<T>& center, const
           center.z + virtual_depth * (on_sensor.z - center.z)};
 }
 
-/// The virtual depth of an image p' seen through a micro-lens with the centre C.
+/// Returns the virtual depth of an image p' seen through a micro-lens with the centre C.
 template <typename T>
 T virtual_depth_of(const ArrayOptics<T>& array, const Vector3<T>& center, const Vector3<T>& image) {
   return (image.z - center.z) / (array.sensor_z() - center.z);
 }
 
-/// The virtual depth that the blur radius rho (px) stands for: the inverse of
-/// `ArrayOptics::blur_radius`. Infinite for an image infinitely far away.
+/// Returns the virtual depth for a blur radius rho (px): the inverse of `ArrayOptics::blur_radius`.
+/// It is infinite for an image at infinity.
 template <typename T>
 T virtual_depth_of_blur(const Optics<T>& optics, const Vector3<T>& center, int lens_type,
                         const T& rho) {
@@ -143,17 +144,17 @@ T virtual_depth_of_blur(const Optics<T>& optics, const Vector3<T>& center, int l
          optics.array.inverse_depth_of_blur(center, rho, optics.inverse_focal_lengths[lens_type]);
 }
 
-/// A straight line in space: the camera frame, mm.
+/// Straight line in space: camera frame, mm.
 template <typename T>
 struct Ray {
   Vector3<T> origin;
-  Vector3<T> direction;  ///< of unit length, towards the scene
+  Vector3<T> direction;  ///< unit vector towards the scene
 };
 
-/// The light that falls on a pixel, between micro-lens and main lens: through the point of the
-/// micro-lens that is (x, y) radii off its centre. (0, 0) is the chief ray, which micro-lenses do
-/// not bend; the others run to or from where the micro-lens images the pixel. For an array of
-/// pinholes all are the chief ray.
+/// Returns the light that falls on a pixel, between micro-lens and main lens: through the point of
+/// the micro-lens that is (x, y) radii from its centre. (0, 0) is the chief ray, which micro-lenses
+/// do not deviate; the other rays diverge from, or converge to, the image of the pixel through the
+/// micro-lens. For an array of pinholes all are the chief ray.
 template <typename T>
 Ray<T> ray_behind(const Optics<T>& optics, const MicroLens& micro_lens, const Pixel<T>& pixel,
                   const Vector2<double>& aperture = {0.0, 0.0}) {
@@ -179,23 +180,23 @@ Ray<T> ray_behind(const Optics<T>& optics, const MicroLens& micro_lens, const Pi
   return ray;
 }
 
-/// The ray in object space whose image is the chief ray of a pixel, with its origin at the distance
-/// z (mm). Distortion and curvature of the field bend the image of a straight line a little, so
-/// that a ray touches the line that the model images onto the pixel, at z. None if the model images
-/// no point at z onto the pixel.
+/// Returns the ray in object space whose image is the chief ray of a pixel, with its origin at the
+/// distance z (mm). Distortion and field curvature bend the image of a straight line a little. The
+/// ray is therefore the tangent, at z, to the curve that the model images onto the pixel. None if
+/// the model images no point at z onto the pixel.
 template <typename T>
 std::optional<Ray<T>> object_ray(const Optics<T>& optics, const MicroLens& micro_lens,
                                  const Pixel<T>& pixel, const T& z) {
   using std::sqrt;
   constexpr int kMaxSteps = 20;
-  constexpr double kSettled = 4e-15;  // of a step, relative
+  constexpr double kSettled = 4e-15;  // relative size of a step
   const MainLens<T>& lens = optics.main_lens;
   if (!(z > lens.focal_length)) return std::nullopt;
   const Vector3<T> center = optics.array.micro_lens_center(micro_lens.node);
   const Vector3<T> on_sensor = optics.array.on_sensor(pixel);
   const Vector3<T> line = {on_sensor.x - center.x, on_sensor.y - center.y, on_sensor.z - center.z};
-  // The magnification is that of z, so that p'_z = m z + (kappa - kappa_m m) r^2 and with it the
-  // virtual depth depend on r alone. Newton's method for the ideal image point (x, y).
+  // For the magnification at z, p'_z = m z + (kappa - kappa_m m) r^2 and thus the virtual depth
+  // depend on r alone. Newton's method finds the ideal image point (x, y).
   const T magnification = -lens.focal_length / (z - lens.focal_length);
   const T depth_on_axis = (magnification * z - center.z) / line.z;
   const T bulge = (lens.field_curvature - lens.field_curvature_growth * magnification) / line.z;
@@ -216,7 +217,7 @@ std::optional<Ray<T>> object_ray(const Optics<T>& optics, const MicroLens& micro
     x = x + step_x;
     y = y + step_y;
     distorts = distortion_slope(lens, x, y);
-    // The round after the last step of size has the derivatives of the solution.
+    // The round after the last step gives the derivatives of the solution.
     if (settled) break;
     const double size = std::abs(value_of(x)) + std::abs(value_of(y)) +
                         std::abs(value_of(center.x)) + std::abs(value_of(center.y));
@@ -226,14 +227,14 @@ std::optional<Ray<T>> object_ray(const Optics<T>& optics, const MicroLens& micro
     if (std::is_same<T, double>::value && settled) break;
   }
   if (!settled || !distorts.is_regular()) return std::nullopt;
-  // How the image and its magnification change along the line.
+  // Derivatives of the image and its magnification along the line.
   const Vector2<T> ideal{x, y};
   const Vector2<T> slide = distorts.undo({line.x, line.y});
   const T r2 = x * x + y * y, r2_slope = 2.0 * (x * slide.x + y * slide.y);
   const T slope = (line.z - lens.field_curvature * r2_slope +
                    lens.field_curvature_growth * r2_slope * magnification) /
                   (lens.focal_length - lens.field_curvature_growth * r2);
-  // (x, y)/m and z = F - F/m, and their derivatives by the depth.
+  // The point is (x, y)/m and z = F - F/m; these are its derivatives by the depth.
   const T inverse = 1.0 / magnification;
   const T by_slope = slope * inverse;
   Vector3<T> direction = {(slide.x - ideal.x * by_slope) * inverse,

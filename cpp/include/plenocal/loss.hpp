@@ -8,15 +8,15 @@ namespace plenocal {
 /// Robust loss rho(s) of a squared, standardised residual norm s = |r|^2.
 enum class LossKind { kNone, kHuber, kCauchy };
 
-/// A loss and its scale in standard deviations.
+/// Loss and its scale in standard deviations.
 struct Loss {
   LossKind kind = LossKind::kNone;
   double scale = 1.0;
 };
 
 /// Scales n residuals of one observation by sqrt(rho(s)/s), so that half their squared norm is
-/// rho(s)/2, Ceres' convention. Ceres' own LossFunction acts on a whole block, here several
-/// observations.
+/// rho(s)/2, as by Ceres' convention. Ceres' own LossFunction acts on a whole block, which has
+/// several observations here.
 template <typename T>
 void apply_loss(const Loss& loss, int n, T* r) {
   if (loss.kind == LossKind::kNone) return;
@@ -36,8 +36,8 @@ void apply_loss(const Loss& loss, int n, T* r) {
   for (int i = 0; i < n; ++i) r[i] *= factor;
 }
 
-/// The weight rho'(s) of an observation in a step of iteratively re-weighted least squares, for
-/// s = |r|^2.
+/// Returns the weight rho'(s) of an observation in a step of iteratively re-weighted least squares,
+/// for s = |r|^2.
 inline double loss_weight(const Loss& loss, double s) {
   const double x = s / (loss.scale * loss.scale);
   if (loss.kind == LossKind::kHuber) return x > 1.0 ? 1.0 / std::sqrt(x) : 1.0;

@@ -1,20 +1,20 @@
-// The table of the parameters that all frames share, from parameters.def.
+// Table of the parameters that all frames share, from parameters.def.
 #pragma once
 
 #include <iterator>
 
 namespace plenocal {
 
-/// A row of the table.
+/// Row of the table.
 struct Parameter {
   const char* name;         ///< symbol as written in options, tables and files
-  const char* unit;         ///< of its value: mm, mm^-1, ..., rad, px or 1
+  const char* unit;         ///< unit of the value: mm, mm^-1, ..., rad, px or 1
   const char* key;          ///< JSON pointer into camera.json, or into the board of problem.json
-  bool is_positive;         ///< whether its value has to be positive; all have to be finite
-  const char* description;  ///< one line
+  bool is_positive;         ///< true if the value has to be positive; all have to be finite
+  const char* description;  ///< description in one line
 };
 
-/// The table: intrinsic parameters of a camera with three lens types, then the shape of the board.
+/// Table: intrinsic parameters of a camera with three lens types, then the shape of the board.
 inline constexpr Parameter kParameters[] = {
 #define FINITE false
 #define POSITIVE true
@@ -31,7 +31,7 @@ inline constexpr Parameter kParameters[] = {
 #undef FINITE
 };
 
-/// The largest number of lens types.
+/// Largest number of lens types.
 inline constexpr int kMaxLensTypes = 0
 #define PLENOCAL_MICRO_LENSES(...) +1
 #include "plenocal/parameters.def"
@@ -43,7 +43,7 @@ inline constexpr int kBoardShapeParameters = 0
 #include "plenocal/parameters.def"
     ;
 
-/// The parameters of the shape of a board, up to the end of the table.
+/// Parameters of the shape of a board, up to the end of the table.
 inline constexpr const Parameter* kBoardShapeTable = std::end(kParameters) - kBoardShapeParameters;
 
 /// Number of intrinsic parameters of a camera of pinholes.

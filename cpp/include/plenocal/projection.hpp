@@ -1,8 +1,8 @@
-// The forward model: board point -> BAP feature (u, v, rho), and micro-lens -> micro-image centre.
+// Forward model: board point -> BAP feature (u, v, rho), and micro-lens -> micro-image centre.
 //
 // This header is the only projection model of the library. It consists of templates, so that the
-// same code gives values (T = double) and derivatives (T = ceres::Jet). Equation names are those of
-// the paper "Blur Aware Calibration of Multi-Focus Plenoptic Camera" (CVPR 2020).
+// same code gives values (T = double) and derivatives (T = ceres::Jet). Equation names refer to the
+// paper "Blur Aware Calibration of Multi-Focus Plenoptic Camera" (CVPR 2020).
 #pragma once
 
 #include <limits>
@@ -13,33 +13,33 @@
 
 namespace plenocal {
 
-/// A vector in a plane z = const of the camera frame, mm.
+/// Vector in a plane z = const of the camera frame, mm.
 template <typename T>
 struct Vector2 {
   T x, y;
 };
 
-/// A point in the raw image, px.
+/// Point in the raw image, px.
 template <typename T>
 struct Pixel {
   T u, v;
 };
 
-/// A blur aware plenoptic feature: position and signed blur radius, px. rho is not a number for an
-/// array of pinholes, which has no blur.
+/// Blur aware plenoptic feature: position and signed blur radius, px. rho is NaN for an array of
+/// pinholes, which has no blur.
 template <typename T>
 struct Feature {
   T u, v, rho;
 };
 
-/// camera_from_board: angle-axis rotation (rad) followed by a translation (mm).
+/// Pose camera_from_board: angle-axis rotation (rad) followed by a translation (mm).
 struct Pose {
   static constexpr int kSize = 6;
   Vector3<double> rotation{};
   Vector3<double> translation{};
 };
 
-/// A pose as the solver's parameter block, and back.
+/// Converts a pose to the solver's parameter block, and back.
 inline std::array<double, Pose::kSize> pose_block(const Pose& pose) {
   const auto &r = pose.rotation, &t = pose.translation;
   return {r.x, r.y, r.z, t.x, t.y, t.z};
@@ -48,18 +48,18 @@ inline Pose pose_from_block(const std::array<double, Pose::kSize>& b) {
   return {{b[0], b[1], b[2]}, {b[3], b[4], b[5]}};
 }
 
-/// The motion of `first`, then that of `second`: with second = camera_from_rig and first =
-/// rig_from_board it is camera_from_board. This and the following throw std::invalid_argument for a
-/// pose or a point that is not finite.
+/// Returns the motion `first` followed by `second`: with second = camera_from_rig and first =
+/// rig_from_board it is camera_from_board. This function and the next two throw
+/// std::invalid_argument for a pose or a point that is not finite.
 PLENOCAL_API Pose composed(const Pose& second, const Pose& first);
 
-/// The motion back: board_from_camera of camera_from_board.
+/// Returns the inverse motion: board_from_camera for camera_from_board.
 PLENOCAL_API Pose inverse(const Pose& pose);
 
-/// A point in the frame that a pose leads to: of the board's frame (mm) in that of the camera.
+/// Transforms a point: with camera_from_board, from the board frame to the camera frame (mm).
 PLENOCAL_API Vector3<double> transformed(const Pose& pose, const Vector3<double>& point);
 
-/// The rigid transform of a pose block, with the rotation matrix computed once for many points.
+/// Rigid transform of a pose block, with the rotation matrix computed once for many points.
 template <typename T>
 class Motion {
  public:
@@ -68,7 +68,7 @@ class Motion {
     using std::sin;
     using std::sqrt;
     // R = cos a + [n] sin a + n n' (1 - cos a) with the angle a and the axis n (Rodrigues). Near 0
-    // to the first order, which has the derivatives.
+    // the first-order form gives correct derivatives.
     const T &x = block[0], &y = block[1], &z = block[2];
     const T square = x * x + y * y + z * z;
     T cosine(1.0), by_sine(1.0), by_cosine(0.0);  // sin a/a and (1 - cos a)/a^2
@@ -85,7 +85,7 @@ class Motion {
                           cosine + z * z * by_cosine};
     std::copy(entries, entries + 9, rotation_);
   }
-  /// Transforms a point of the board into the camera frame, mm. U is double or T.
+  /// Transforms a point of the board to the camera frame, mm. U is double or T.
   template <typename U = double>
   Vector3<T> operator()(const Vector3<U>& p) const {
     const auto row = [&](int i) {
@@ -95,7 +95,8 @@ class Motion {
     return {row(0), row(1), row(2)};
   }
 
-  /// This motion after another one: camera_from_rig.after(rig_from_board) is camera_from_board.
+  /// Returns this motion after another one: camera_from_rig.after(rig_from_board) is
+  /// camera_from_board.
   Motion after(const Motion& first) const {
     Motion both = *this;
     for (int i = 0; i < 3; ++i) {
@@ -115,8 +116,8 @@ class Motion {
   T translation_[3];
 };
 
-/// How far distortion moves the ideal image point (x, y), all in mm in the camera frame (Brown-
-/// Conrady; paper, section 2.1).
+/// Returns the displacement of the ideal image point (x, y) by distortion, all in mm in the camera
+/// frame (Brown-Conrady; paper, section 2.1).
 template <typename T>
 Vector2<T> distortion(const MainLens<T>& lens, const T& x, const T& y) {
   const T* q = lens.radial;
@@ -128,9 +129,9 @@ Vector2<T> distortion(const MainLens<T>& lens, const T& x, const T& y) {
           y * radial + t[1] * (r2 + 2.0 * y * y) + t[0] * xy};
 }
 
-/// p': image of a point in the camera frame through the main lens: K(F) and the distortion of
-/// Eq. (completemodel), and the curvature of the field. None if the point is not beyond the focal
-/// plane.
+/// Returns p', the image of a point in the camera frame through the main lens: K(F) and the
+/// distortion of Eq. (completemodel), and the field curvature. None if the point is not beyond the
+/// focal plane.
 template <typename T>
 std::optional<Vector3<T>> main_lens_image(const MainLens<T>& lens, const Vector3<T>& point) {
   const T beyond_focus = point.z - lens.focal_length;
@@ -144,16 +145,17 @@ std::optional<Vector3<T>> main_lens_image(const MainLens<T>& lens, const Vector3
                     magnification * point.z + curvature * (x * x + y * y)};
 }
 
-/// p: diameter of the exit pupil over that of the entrance pupil, p = 1 + e_z/F. The one is the
-/// image of the other, so that by Newton's equation the exit pupil lies pF before the rear focal
-/// point z = -F.
+/// Returns the pupil magnification p = 1 + e_z/F, the ratio of the diameters of exit pupil and
+/// entrance pupil. One is the image of the other, so that by Newton's equation the exit pupil lies
+/// pF before the rear focal point z = -F.
 template <typename T>
 T pupil_magnification(const MainLens<T>& lens, const ExitPupil<T>& pupil) {
   return 1.0 + pupil.z / lens.focal_length;
 }
 
-/// |m| = d p F / 2(D + e_z), mm: by how much the radius of a micro-image grows with 1/N. With the
-/// pupil in the lens it is dF/2D, Eq. (miradiusfnumber); the entrance pupil has the diameter F/N.
+/// Returns |m| = d p F / 2(D + e_z), mm: the slope of the radius of a micro-image over 1/N. With
+/// the pupil in the lens it is dF/2D, Eq. (miradiusfnumber); the entrance pupil has the diameter
+/// F/N.
 template <typename T>
 T micro_image_slope(const MainLens<T>& lens, const ExitPupil<T>& pupil,
                     const MicroLensArray<T>& mla) {
@@ -161,17 +163,17 @@ T micro_image_slope(const MainLens<T>& lens, const ExitPupil<T>& pupil,
          (mla.lens_to_mla + pupil.z);
 }
 
-/// q'_i = dC d / 2 f_i, mm: the blur radius, less the part due to the virtual depth, that white
-/// images show of a lens type, Eq. (radiusfinal). If the pitches differ, their geometric mean.
+/// Returns q'_i = dC d / 2 f_i, mm: the part of the blur radius that depends on the lens type and
+/// not on the virtual depth, Eq. (radiusfinal). If the pitches differ, dC is their geometric mean.
 template <typename T>
 T blur_intercept(const MicroLensArray<T>& mla, const T& focal_length) {
   using std::sqrt;
   return 0.5 * mla.pitch * sqrt(mla.pitch_ratio) * mla.mla_to_sensor / focal_length;
 }
 
-/// The tilt gradient of the array against the sensor as micro-images show it: the gradient of ln d
-/// along u and v, 1/mm of the sensor. The normal of the array is Rz Ry Rx e_z, u and v run against
-/// x and y, and micro-images lie further apart than their lenses.
+/// Returns the tilt gradient of the array with respect to the sensor, as visible in micro-images:
+/// the gradient of ln d along u and v, 1/mm of the sensor. The normal of the array is Rz Ry Rx e_z;
+/// u and v are opposite to x and y; micro-images lie further apart than their micro-lenses.
 template <typename T>
 Vector2<T> tilt_gradient(const ExitPupil<T>& pupil, const MicroLensArray<T>& mla) {
   using std::cos;
@@ -184,8 +186,8 @@ Vector2<T> tilt_gradient(const ExitPupil<T>& pupil, const MicroLensArray<T>& mla
   return {scale * (cz * sy * cx + sz * sx), scale * (sz * sy * cx - cz * sx)};
 }
 
-/// The geometry of micro-lenses and sensor, without the main lens. What does not depend on the
-/// observation is computed once.
+/// Geometry of micro-lenses and sensor, without the main lens. Quantities that do not depend on the
+/// observation are computed once.
 template <typename T>
 class ArrayOptics {
  public:
@@ -193,73 +195,75 @@ class ArrayOptics {
       : mla_(mla),
         pixels_per_mm_(1.0 / pixel_size),
         sensor_z_(-(mla.lens_to_mla + mla.mla_to_sensor)) {
-    // Radius of a micro-lens in pixels. Its diameter is taken to be the distance between neighbours
-    // (paper, section 2.1); if the two pitches differ, their geometric mean.
+    // Radius of a micro-lens in pixels. Its diameter is assumed to be the distance between
+    // neighbours (paper, section 2.1); if the two pitches differ, their geometric mean.
     using std::sqrt;
     half_diameter_px_ = mla.pitch * sqrt(mla.pitch_ratio) * (0.5 * pixels_per_mm_);
     set_array_axes();
   }
 
-  /// C: centre of a micro-lens in the camera frame. The lattice runs against x and y because the
-  /// indices grow with the pixels.
+  /// Returns C, the centre of a micro-lens in the camera frame. The lattice is opposite to x and y
+  /// because the indices grow with the pixels.
   Vector3<T> micro_lens_center(const Node& node) const {
     return {axis_x_.x * node.x + axis_y_.x * node.y + mla_.offset[0],
             axis_x_.y * node.x + axis_y_.y * node.y + mla_.offset[1],
             axis_x_.z * node.x + axis_y_.z * node.y - mla_.lens_to_mla};
   }
 
-  /// Distance between neighbouring micro-image centres without tilt, px, Eq. (mlinterdist) with
-  /// distances from the exit pupil: Delta C (D + e_z + d)/(D + e_z). If the pitches along u and v
-  /// differ, their geometric mean.
+  /// Returns the distance between neighbouring micro-image centres without tilt, px,
+  /// Eq. (mlinterdist) with distances from the exit pupil: Delta C (D + e_z + d)/(D + e_z). If the
+  /// pitches along u and v differ, Delta C is their geometric mean.
   T micro_image_pitch(const ExitPupil<T>& pupil) const {
     return 2.0 * half_diameter_px_ * ((pupil.z - sensor_z_) / (pupil.z + mla_.lens_to_mla));
   }
 
-  /// -delta/a of an image p' seen through a micro-lens with the centre C: the scale at which the
-  /// sensor shows it. None if p' lies in the plane of the micro-lens.
+  /// Returns -delta/a, the scale at which the sensor shows an image p' seen through a micro-lens
+  /// with the centre C. None if p' lies in the plane of the micro-lens.
   std::optional<T> image_scale(const Vector3<T>& image, const Vector3<T>& center) const {
     const T a = image.z - center.z;
     if (a == 0.0) return std::nullopt;
     return (sensor_z_ - center.z) / a;
   }
 
-  /// (u, v): where the straight ray from p' through C meets the sensor, with their `image_scale`.
+  /// Returns (u, v), where the straight ray from p' through C meets the sensor; `scale` is their
+  /// `image_scale`.
   Pixel<T> through_micro_lens(const Vector3<T>& image, const Vector3<T>& center,
                               const T& scale) const {
     return {to_u(center.x + scale * (image.x - center.x)),
             to_v(center.y + scale * (image.y - center.y))};
   }
 
-  /// rho: signed blur radius, Eq. (blurradius), with `scale` = -delta/a (`image_scale`):
-  /// rho = dC/(2s) delta (1/f - 1/a - 1/delta) = dC/(2s) (delta/f - delta/a - 1).
+  /// Returns rho, the signed blur radius, Eq. (blurradius), with `scale` = -delta/a
+  /// (`image_scale`): rho = dC/(2s) delta (1/f - 1/a - 1/delta) = dC/(2s) (delta/f - delta/a - 1).
   T blur_radius(const Vector3<T>& center, const T& scale, const T& inverse_focal_length) const {
     return half_diameter_px_ * ((center.z - sensor_z_) * inverse_focal_length + scale - 1.0);
   }
 
-  /// 1/nu for the blur radius rho (px): the inverse of `blur_radius`. It is 0 for an image
-  /// infinitely far away.
+  /// Returns 1/nu for the blur radius rho (px): the inverse of `blur_radius`. It is 0 for an image
+  /// at infinity.
   T inverse_depth_of_blur(const Vector3<T>& center, const T& rho,
                           const T& inverse_focal_length) const {
     return rho / half_diameter_px_ - (center.z - sensor_z_) * inverse_focal_length + 1.0;
   }
 
-  /// A pixel in the camera frame, mm.
+  /// Returns the position of a pixel in the camera frame, mm.
   Vector3<T> on_sensor(const Pixel<T>& pixel) const {
     return {(mla_.principal_point[0] - pixel.u) / pixels_per_mm_,
             (mla_.principal_point[1] - pixel.v) / pixels_per_mm_, sensor_z_};
   }
 
-  /// z of the sensor in the camera frame, mm.
+  /// Returns z of the sensor in the camera frame, mm.
   const T& sensor_z() const { return sensor_z_; }
 
-  /// s, mm.
+  /// Returns the pixel size s, mm.
   double pixel_size() const { return 1.0 / pixels_per_mm_; }
 
-  /// Radius of a micro-lens, mm.
+  /// Returns the radius of a micro-lens, mm.
   T micro_lens_radius() const { return half_diameter_px_ / pixels_per_mm_; }
 
-  /// Centre of the micro-image of a micro-lens: where the ray from the middle P of the exit pupil
-  /// through C meets the sensor. It is finite where the micro-lens lies behind the pupil.
+  /// Returns the centre of a micro-image, where the ray from the centre P of the exit pupil through
+  /// the centre C of the micro-lens meets the sensor. It is finite if the micro-lens lies behind
+  /// the pupil.
   Pixel<T> micro_image_center(const ExitPupil<T>& pupil, const Node& node) const {
     const Vector3<T> center = micro_lens_center(node);
     const T scale = (sensor_z_ - pupil.z) / (center.z - pupil.z);
@@ -271,7 +275,7 @@ class ArrayOptics {
   T to_u(const T& x) const { return mla_.principal_point[0] - x * pixels_per_mm_; }
   T to_v(const T& y) const { return mla_.principal_point[1] - y * pixels_per_mm_; }
 
-  // First two columns of Rz Ry Rx, times minus the pitch.
+  // These are the first two columns of Rz Ry Rx, times minus the pitch.
   void set_array_axes() {
     using std::cos;
     using std::sin;
@@ -293,7 +297,7 @@ class ArrayOptics {
   Vector3<T> axis_y_;
 };
 
-/// The optics between object space and sensor.
+/// Optics between object space and sensor.
 template <typename T>
 struct Optics {
   MainLens<T> main_lens;
@@ -301,8 +305,8 @@ struct Optics {
   T inverse_focal_lengths[kMaxLensTypes]{};  ///< 1/f of every lens type, mm^-1
   bool has_blur;                             ///< false for an array of pinholes
 
-  /// `focal_lengths` are those of `lens_types` types: 0 (then the pointer may be null) to
-  /// `kMaxLensTypes`. Throws std::invalid_argument for another number of them.
+  /// Creates the optics. `focal_lengths` has `lens_types` values: 0 (then the pointer may be null)
+  /// to `kMaxLensTypes`. Throws std::invalid_argument for another number.
   Optics(const MainLens<T>& lens, const MicroLensArray<T>& mla, const T* focal_lengths,
          int lens_types, double pixel_size)
       : main_lens(lens), array(mla, pixel_size), has_blur(lens_types > 0) {
@@ -314,24 +318,24 @@ struct Optics {
   }
 };
 
-/// The optics of a camera.
+/// Returns the optics of a camera.
 inline Optics<double> optics_of(const Camera& camera) {
   return {camera.main_lens, camera.mla, camera.micro_lens_focal_lengths.data(), camera.lens_types(),
           camera.pixel_size};
 }
 
-/// What the projection needs of a micro-lens.
+/// Properties of a micro-lens that the projection needs.
 struct MicroLens {
   Node node;
   int lens_type;
 };
 
-/// Micro-lens (k, l) of a camera.
+/// Returns micro-lens (k, l) of a camera.
 inline MicroLens micro_lens_of(const Camera& camera, int k, int l) {
   return {camera.lattice.node(k, l), camera.lattice.lens_type(k, l, camera.lens_types())};
 }
 
-/// Feature of a point whose image p' through the main lens is known, see `main_lens_image`. None if
+/// Projects a point whose image p' through the main lens is known, see `main_lens_image`. None if
 /// the point is imaged onto the micro-lens.
 template <typename T>
 std::optional<Feature<T>> project_image(const Optics<T>& optics, const Vector3<T>& image,
@@ -347,8 +351,8 @@ std::optional<Feature<T>> project_image(const Optics<T>& optics, const Vector3<T
                         : T(std::numeric_limits<double>::quiet_NaN())};
 }
 
-/// Feature of a point in the camera frame (mm). None where the model is not defined: for a point
-/// within the focal length, or imaged onto the micro-lens.
+/// Projects a point in the camera frame (mm). None if the model is not defined: for a point within
+/// the focal length, or imaged onto the micro-lens.
 template <typename T>
 std::optional<Feature<T>> project(const Optics<T>& optics, const Vector3<T>& point,
                                   const MicroLens& micro_lens) {
@@ -356,16 +360,16 @@ std::optional<Feature<T>> project(const Optics<T>& optics, const Vector3<T>& poi
   return image ? project_image(optics, *image, micro_lens) : std::nullopt;
 }
 
-/// Feature of a board point (mm) seen through micro-lens (k, l), in one call and with checks. None
-/// where the model is not defined: as above, and for a micro-lens that the array does not have,
-/// numbers that are not finite, and points so far off the axis that distortion turns back. Throws
+/// Projects a board point (mm) through micro-lens (k, l), in one call and with checks. None if the
+/// model is not defined, as above, for a micro-lens that the array does not have, for numbers that
+/// are not finite, and for points so far off the axis that distortion turns back. Throws
 /// std::invalid_argument if the camera is not valid.
 PLENOCAL_API std::optional<Feature<double>> project(const Camera& camera,
                                                     const Pose& camera_from_board,
                                                     const Vector3<double>& board_point, int k,
                                                     int l);
 
-/// Micro-image centre of micro-lens (k, l), which may lie outside the array. Throws
+/// Returns the micro-image centre of micro-lens (k, l), which may lie outside the array. Throws
 /// std::invalid_argument if the camera is not valid.
 PLENOCAL_API Pixel<double> project_center(const Camera& camera, int k, int l);
 

@@ -1,6 +1,6 @@
-// Ceres auto-diff cost functors of the paper's cost function (section 5.3), many observations to a
-// residual block: the pose, the array's axes and the image of a board corner are then computed
-// once. GCC is forced to inline the Jet arithmetic (`flatten`).
+// Ceres auto-diff cost functors of the paper's cost function (section 5.3). A residual block
+// contains many observations, so that the pose, the array's axes and the image of a board corner
+// are computed once. GCC is forced to inline the Jet arithmetic (`flatten`).
 #pragma once
 
 #include <ceres/ceres.h>
@@ -19,7 +19,7 @@
 #include "plenocal/loss.hpp"
 #include "plenocal/projection.hpp"
 
-// Sanitizers and `flatten` together take the compiler many minutes; the presets define this.
+// With sanitizers, `flatten` takes the compiler many minutes; the presets define this macro.
 #if defined(__GNUC__) && !defined(PLENOCAL_NO_FLATTEN)
 #define PLENOCAL_FLATTEN __attribute__((flatten))
 #else
@@ -28,7 +28,7 @@
 
 namespace plenocal {
 
-/// Whether a weight or a length can be one.
+/// Returns true if a value is possible as a weight or a length.
 inline bool is_scale(double value) { return value > 0.0 && value < HUGE_VAL; }
 
 /// Throws std::invalid_argument unless there are terms and they can be evaluated.
@@ -42,26 +42,26 @@ inline void require_terms(std::size_t count, double pixel_size, const Loss& loss
   }
 }
 
-/// An observed feature, ready for the functor.
+/// Observed feature in the form that the functor needs.
 struct WeightedFeature {
   Vector3<double> board_point;  ///< mm; if the shape of the board is a parameter, of the flat grid
   MicroLens micro_lens;
   Feature<double> observed;  ///< px
-  Feature<double> weight;    ///< 1 / sigma of each, 1/px
+  Feature<double> weight;    ///< 1 / sigma of u, v and rho, 1/px
 };
 
 /// Residuals (u, v, rho) / sigma of features of one frame: 3 each, or 2 for a pinhole array
 /// (I = 0). Parameter blocks: main lens, array, focal lengths (if I > 0), shape of the board (if
 /// Bent), camera_from_rig (if InRig), pose of the board: camera_from_board, or rig_from_board in a
-/// rig of several cameras. Where the shape is known, its derivatives are left out.
+/// rig of several cameras. If the shape is known, its derivatives are omitted.
 template <int I, bool Bent = false, bool InRig = false>
 class FeatureResiduals {
  public:
   static constexpr int kResiduals = I == 0 ? 2 : 3;
 
   /// Uses only the size of the board. Throws std::invalid_argument without features, for a lens
-  /// type that there is not, and for a weight, pixel size or scale of the loss that is not positive
-  /// and finite.
+  /// type that does not exist, and for a weight, pixel size or scale of the loss that is not
+  /// positive and finite.
   FeatureResiduals(std::vector<WeightedFeature> features, double pixel_size, Loss loss,
                    const Board& board = {})
       : features_(std::move(features)), pixel_size_(pixel_size), loss_(loss), board_(board) {
@@ -79,7 +79,7 @@ class FeatureResiduals {
     }
   }
 
-  /// The parameter blocks in their order, then the residuals.
+  /// Takes the parameter blocks in their order, then the residuals.
   template <typename T, typename... Rest>
   bool operator()(const T* lens, const T* array, Rest... rest) const {
     static_assert(sizeof...(Rest) == kPoseAt + 2, "the blocks do not fit I, Bent and InRig");
@@ -100,7 +100,7 @@ class FeatureResiduals {
         [&next](const T* residual) { next = std::copy(residual, residual + kResiduals, next); });
   }
 
-  /// A cost function over these features.
+  /// Creates a cost function over these features.
   static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedFeature> features,
                                                      double pixel_size, Loss loss,
                                                      const Board& board = {}) {
@@ -108,12 +108,12 @@ class FeatureResiduals {
   }
 
  private:
-  // Places of the blocks after the array.
+  // Positions of the blocks after the array.
   static constexpr std::size_t kShapeAt = I > 0 ? 1 : 0, kRigAt = kShapeAt + (Bent ? 1 : 0),
                                kPoseAt = kRigAt + (InRig ? 1 : 0);
 
-  // What is between the board and p', and what follows, may have derivatives of its own: `cross`
-  // takes an image from the one to the other, `take` the residuals of a feature.
+  // The steps before and after p' may use different types of derivatives: `cross` converts an image
+  // from the first type to the second, `take` receives the residuals of a feature.
   template <typename Outer, typename Inner, typename Cross, typename Take>
   PLENOCAL_FLATTEN bool evaluate(const MainLens<Outer>& lens, const Optics<Inner>& optics,
                                  const Outer* shape, const Motion<Outer>& camera_from_board,
@@ -147,8 +147,9 @@ class FeatureResiduals {
     return true;
   }
 
-  // Derivatives in two parts, by the chain rule: those of p' by what is before it, once for each
-  // corner, and those of a feature by p' and by what follows. Jets of both parts are small.
+  // Derivatives in two parts, by the chain rule: derivatives of p' by the parameters before it,
+  // once for each corner, and derivatives of a feature by p' and the parameters after it. Jets of
+  // both parts are small.
   class Cost : public ceres::CostFunction {
    public:
     explicit Cost(FeatureResiduals residuals) : residuals_(std::move(residuals)) {
@@ -211,7 +212,7 @@ class FeatureResiduals {
     using Before = ceres::Jet<double, kBefore>;
     using Behind = ceres::Jet<double, 3 + kArray + I>;
 
-    // The parameters of a block, which are the derivatives from `at` on.
+    // Returns the parameters of a block as variables number `at` and following.
     template <typename Jet, int Size>
     static std::array<Jet, Size> seeded(const double* block, int at) {
       std::array<Jet, Size> jets;
@@ -243,7 +244,7 @@ class FeatureResiduals {
   Board board_;
 };
 
-/// An observed micro-image centre, ready for the functor.
+/// Observed micro-image centre in the form that the functor needs.
 struct WeightedCenter {
   Node node;
   Pixel<double> observed;  ///< px
@@ -282,7 +283,7 @@ class CenterResiduals {
     return true;
   }
 
-  /// A cost function over these centres.
+  /// Creates a cost function over these centres.
   static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedCenter> centers,
                                                      double pixel_size, Loss loss) {
     const int n = kResiduals * static_cast<int>(centers.size());
@@ -300,7 +301,7 @@ class CenterResiduals {
 /// Residual of a prior on |m|. Parameter blocks: main lens, exit pupil, array.
 class SlopeResidual {
  public:
-  /// `value` in mm; `weight` is 1 / sigma, 1/mm.
+  /// Creates the residual. `value` in mm; `weight` is 1 / sigma, 1/mm.
   SlopeResidual(double value, double weight) : value_(value), weight_(weight) {}
 
   template <typename T>
@@ -311,7 +312,7 @@ class SlopeResidual {
     return true;
   }
 
-  /// A cost function of it.
+  /// Creates a cost function of this residual.
   static std::unique_ptr<ceres::CostFunction> create(double value, double weight) {
     return std::make_unique<ceres::AutoDiffCostFunction<SlopeResidual, 1, kMainLensParameters,
                                                         kExitPupilParameters, kArrayParameters>>(
@@ -327,8 +328,8 @@ class SlopeResidual {
 template <int I>
 class InterceptResidual {
  public:
-  /// `value` in mm; `weight` is 1 / sigma, 1/mm. Throws std::invalid_argument for a lens type that
-  /// there is not.
+  /// Creates the residual. `value` in mm; `weight` is 1 / sigma, 1/mm. Throws std::invalid_argument
+  /// for a lens type that does not exist.
   InterceptResidual(int lens_type, double value, double weight)
       : lens_type_(lens_type), value_(value), weight_(weight) {
     if (lens_type < 0 || lens_type >= I) {
@@ -343,7 +344,7 @@ class InterceptResidual {
     return true;
   }
 
-  /// A cost function of it.
+  /// Creates a cost function of this residual.
   static std::unique_ptr<ceres::CostFunction> create(int lens_type, double value, double weight) {
     return std::make_unique<ceres::AutoDiffCostFunction<InterceptResidual, 1, kArrayParameters, I>>(
         new InterceptResidual(lens_type, value, weight));
@@ -359,8 +360,8 @@ class InterceptResidual {
 /// pupil, array.
 class TiltGradientResidual {
  public:
-  /// `axis` is 0 for u and 1 for v; `value` in 1/mm; `weight` is 1 / sigma, mm. Throws
-  /// std::invalid_argument for another axis.
+  /// Creates the residual. `axis` is 0 for u and 1 for v; `value` in 1/mm; `weight` is 1 / sigma,
+  /// mm. Throws std::invalid_argument for another axis.
   TiltGradientResidual(int axis, double value, double weight)
       : axis_(axis), value_(value), weight_(weight) {
     if (axis != 0 && axis != 1) {
@@ -376,7 +377,7 @@ class TiltGradientResidual {
     return true;
   }
 
-  /// A cost function of it.
+  /// Creates a cost function of this residual.
   static std::unique_ptr<ceres::CostFunction> create(int axis, double value, double weight) {
     return std::make_unique<ceres::AutoDiffCostFunction<TiltGradientResidual, 1,
                                                         kExitPupilParameters, kArrayParameters>>(

@@ -1,4 +1,4 @@
-// The version of the library. CMake reads it from here.
+// Version of the library. CMake reads it from here.
 #pragma once
 
 #define PLENOCAL_VERSION_MAJOR 0

@@ -43,7 +43,7 @@ constexpr NamedVerdict kVerdicts[] = {{Verdict::kGood, "good"},
                                       {Verdict::kUsableWithCare, "usable with care"},
                                       {Verdict::kDoNotUse, "do not use"}};
 
-// Fields that earlier versions wrote under another name are known too.
+// Earlier names of fields are known too.
 void require_known_fields(const Field& root) {
   root.require_keys({"format", "version", "converged", "verdict", "boards", "sensor", "main_lens",
                      "principal_point_px", "micro_lens_array", "point_spread_px2", "point_spread",
@@ -66,7 +66,8 @@ void require_distances(const Field& boards) {
   }
 }
 
-// Adds what files of version 1 do not have: exit pupil and field curvature, which are 0 there.
+// Adds fields that files of version 1 do not have: exit pupil and field curvature, which are 0
+// there.
 void complete(Json* json) {
   const auto lens = json->find("main_lens");
   if (lens == json->end() || !lens->is_object()) return;
@@ -107,7 +108,7 @@ Camera camera_from(const Field& root) {
 
 constexpr double kRounding = 1e-9;  // tolerance of correlations
 
-// sigma of all parameters, and the covariance of those that have one.
+// Reads sigma of all parameters, and the covariance of the parameters that have one.
 void read_uncertainty(const Field& uncertainty, CameraFile* file) {
   const std::vector<std::string> names = intrinsic_names(file->camera.lens_types());
   const Field std_devs = uncertainty["standard_deviations"];
@@ -135,7 +136,7 @@ void read_uncertainty(const Field& uncertainty, CameraFile* file) {
       if (known.count(a) == 0 || known.count(b) == 0) continue;
       if (row.count(a) == 0 || row.count(b) == 0) return;
       const Field entry = matrix.at(row[a]).at(row[b]);
-      // Not determined together: no covariance.
+      // Parameters that are not determined together have no covariance.
       if (entry.is_null()) return;
       if (std::abs(entry.number()) > 1.0 + kRounding) entry.reject("a correlation");
       covariance.push_back(entry.number() * known[a] * known[b]);
@@ -161,7 +162,7 @@ std::string joined(const std::vector<std::string>& words) {
   return text;
 }
 
-// sigma and covariance have to be those of the parameters.
+// Checks that sigma and covariance fit the parameters.
 void require_uncertainty(const CameraFile& file) {
   const std::size_t parameters = intrinsic_names(file.camera.lens_types()).size();
   const auto& std_dev = file.std_dev;
@@ -250,7 +251,7 @@ Json uncertainty_json(const CameraFile& file) {
     for (int i = 0; i < n; ++i) {
       Json row = Json::array();
       for (int j = 0; j < n; ++j) {
-        // What is exact goes with nothing.
+        // An exact parameter has no correlation with others.
         const double scale = known[i] * known[j];
         row.push_back(scale > 0.0 ? file.covariance(i, j) / scale : (i == j ? 1.0 : 0.0));
       }
@@ -272,7 +273,7 @@ std::vector<std::string> CameraFile::objections() const {
     objections.push_back("the calibration of this camera has not determined " +
                          joined(undetermined) + ": frames at other distances and tilts would");
   }
-  // Its reasons are the two above, if they apply.
+  // Otherwise the reasons of the verdict are already listed.
   if (objections.empty() && verdict == Verdict::kDoNotUse) {
     objections.push_back("the verdict on the calibration of this camera is \"do not use\" (" +
                          joined(reasons) + "): see its report, and calibrate it again");

@@ -100,7 +100,7 @@ double Field::number() const {
 int Field::integer() const {
   using Limits = std::numeric_limits<int>;
   const bool whole = value_.is_number_integer();
-  // An unsigned number beyond the range of the signed ones would wrap round.
+  // An unsigned number beyond the range of signed ones would wrap around.
   if (!whole || number() < Limits::min() || number() > Limits::max()) {
     reject("a whole number in range");
   }
@@ -126,7 +126,7 @@ void Field::reject(const std::string& wanted) const { fail(path_, name_ + " is n
 
 Json document(const std::string& path, const std::string& format, int latest) {
   Json json;
-  // JSON leaves open which of two values counts.
+  // JSON does not define which of two values with one key counts.
   std::vector<std::set<std::string>> keys;
   const auto check = [&](int, Json::parse_event_t event, Json& parsed) {
     if (event == Json::parse_event_t::object_start) keys.emplace_back();

@@ -15,29 +15,29 @@ using Json = nlohmann::json;
 /// Throws FileError.
 [[noreturn]] void fail(const std::string& path, const std::string& what);
 
-/// The content of a file.
+/// Returns the content of a file.
 std::string text_of(const std::string& path);
 
-/// Writes a file beside its place and renames it, so that nothing half-written is left.
+/// Writes a temporary file next to the target and renames it, so that no incomplete file remains.
 void write_text(const std::string& path, const std::string& text);
 
-/// A value in a document. What it is asked for and is not ends in a FileError with its name.
+/// Value in a document. A missing field or one of another type gives a FileError with its name.
 class Field {
  public:
-  /// The document and the path are referred to.
+  /// Creates a field, which keeps references to the document and the path.
   Field(const Json& value, const std::string& path, std::string name)
       : value_(value), path_(path), name_(std::move(name)) {}
 
-  /// Whether there is a field of this name that is not null.
+  /// Returns true if there is a field of this name that is not null.
   bool has(const std::string& key) const;
-  /// Names of the fields of a table.
+  /// Returns the names of the fields of a table.
   std::vector<std::string> keys() const;
   /// Rejects a table that has a field of another name: a misspelt one would be ignored.
   void require_keys(std::initializer_list<const char*> known) const;
   Field operator[](const std::string& key) const;
   Field at(std::size_t i) const;
   std::size_t size() const;
-  /// The value at a JSON pointer.
+  /// Returns the value at a JSON pointer.
   Field at_pointer(const std::string& pointer) const;
 
   bool is_null() const { return value_.is_null(); }
@@ -58,7 +58,7 @@ class Field {
   std::string name_;
 };
 
-/// A document of a format and of one of the versions up to `latest`.
+/// Reads a document of a format and of one of the versions up to `latest`.
 Json document(const std::string& path, const std::string& format, int latest);
 
 }  // namespace plenocal

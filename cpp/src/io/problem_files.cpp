@@ -1,4 +1,4 @@
-// Observations and whole problems.
+// Observations and complete problems.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -35,7 +35,7 @@ FeatureObservation feature_in(const Table& table) {
   return f;
 }
 
-// Indices of the frames of features, whose `frame` is the number at first.
+// Replaces the number in `frame` of each feature by its index, and returns the numbers.
 std::vector<int> number_frames(std::vector<FeatureObservation>* features) {
   std::set<int> numbers;
   for (const auto& f : *features) numbers.insert(f.frame);

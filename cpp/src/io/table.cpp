@@ -52,7 +52,7 @@ double Table::number(const std::string& name) const {
   try {
     value = std::stod(text, &used);
   } catch (const std::exception&) {
-    // Not a number, or none that a double can hold: told below.
+    // A number that is missing or too large for a double is reported below.
   }
   if (used != text.size() || !std::isfinite(value)) {
     reject(name + " is '" + text + "', not a finite number");

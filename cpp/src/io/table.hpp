@@ -9,19 +9,19 @@
 
 namespace plenocal {
 
-/// A CSV file with the names of its columns in the first line. What is wrong in it ends in a
-/// FileError with the line.
+/// CSV file with the names of its columns in the first line. An error in it gives a FileError with
+/// the line.
 class Table {
  public:
   Table(const std::string& path, const std::vector<std::string>& required);
 
-  /// Goes to the next line that is not empty; false if there is none.
+  /// Goes to the next line that is not empty; returns false if there is none.
   bool next();
 
   double number(const std::string& name) const;
-  /// A number, or another value where the column is missing or the cell empty.
+  /// Reads a number, or returns `otherwise` if the column is missing or the cell empty.
   double number_or(const std::string& name, double otherwise) const;
-  /// The same of a standard deviation.
+  /// Reads a standard deviation in the same way.
   double std_dev_or(const std::string& name, double otherwise) const;
   int integer(const std::string& name) const;
 
@@ -35,7 +35,7 @@ class Table {
   std::string path_;
   std::istringstream lines_;
   std::string line_;
-  int number_ = 0;  // of the line, from 1
+  int number_ = 0;  // number of the line, from 1
   std::vector<std::string_view> cells_;
   std::map<std::string, std::size_t> columns_;
 };

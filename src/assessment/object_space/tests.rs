@@ -1,4 +1,4 @@
-//! What is taken off the error of a point: the motion of the boards.
+//! Tests of the motion of the boards that is subtracted from the error of a point.
 
 use super::*;
 use crate::calibration::{BoardModel, CalibrationOptions, Mode, Priors, Start, calibrate};
@@ -9,7 +9,7 @@ use crate::solver::synthesize;
 const BOARD: Board = Board { columns: 9, rows: 5, square_mm: 3.0 };
 const EXACT: Noise = Noise { uv_px: 0.0, rho_px: 0.0, centers_px: 0.0 };
 
-/// Boards tilted in different ways.
+/// Returns poses of boards with different tilts.
 fn poses() -> Vec<FramePose> {
     [([0.4, 0.1, 0.0], 90.0), ([-0.3, 0.4, 0.1], 105.0), ([0.1, -0.5, 0.2], 120.0)]
         .into_iter()
@@ -37,7 +37,7 @@ fn outer_corners(calibration: &Calibration) -> Vec<Vector3<f64>> {
     calibration.poses.iter().flat_map(of_pose).collect()
 }
 
-/// The rotation and translation that take points to others best: by singular values (Kabsch).
+/// Fits the rotation and translation that take points to others best, by singular values (Kabsch).
 fn rigid_motion(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> (Matrix3<f64>, Vector3<f64>) {
     let middle =
         |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len() as f64;
@@ -48,7 +48,7 @@ fn rigid_motion(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> (Matrix3<f64>, Ve
     (rotation, b - rotation * a)
 }
 
-/// Where the corners of boards of this shape are.
+/// Returns the corners of boards of this shape.
 fn bent_corners(calibration: &Calibration, shape: &BoardShape) -> Vec<Vector3<f64>> {
     let bent = BentBoard { board: BOARD, shape: *shape };
     let of_pose = |p: &FramePose| {
@@ -58,7 +58,7 @@ fn bent_corners(calibration: &Calibration, shape: &BoardShape) -> Vec<Vector3<f6
     calibration.poses.iter().flat_map(of_pose).collect()
 }
 
-/// A board of another shape is found elsewhere by its frame, but its corners hardly move: they are seen.
+/// A change of the shape of a board moves its frame, but hardly its corners, which are observed.
 #[test]
 fn the_motion_taken_off_is_that_of_corners_not_of_the_frame_of_a_board() {
     const CHANGES: [f64; 4] = [1e-3, 1e-3, 1e-3, 1e-4];
@@ -77,7 +77,7 @@ fn the_motion_taken_off_is_that_of_corners_not_of_the_frame_of_a_board() {
         shape.set(*parameter, change);
         let posed = calibrate_with(&options.of_poses_only(shape));
         let (rotation, translation) = rigid_motion(&before, &bent_corners(&posed, &shape));
-        // By how much the frames of the boards move.
+        // Largest motion of the frames of the boards.
         let frames = outer_corners(&posed).into_iter().zip(outer_corners(&bent));
         let apart = frames.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
         for corner in &before {
@@ -89,11 +89,10 @@ fn the_motion_taken_off_is_that_of_corners_not_of_the_frame_of_a_board() {
     }
 }
 
-/// With another camera, the boards are found elsewhere. What their motion has in common is taken
-/// off the error of a point.
+/// With another camera, the boards have other poses. The motion that they share is subtracted from the error of a point.
 #[test]
 fn the_motion_taken_off_is_that_of_boards_posed_with_another_camera() {
-    /// Norm of the change of all residuals, px: so small that the motion is in proportion to it.
+    /// Norm of the change of all residuals, px: so small that the motion is proportional to it.
     const CHANGE: f64 = 1e-3;
     const TOLERANCE: f64 = 1e-3;
     let observations = synthesize(&camera(), &BOARD, &poses(), &EXACT, 1).unwrap();

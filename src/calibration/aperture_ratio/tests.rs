@@ -1,4 +1,4 @@
-//! Features with known blur.
+//! Tests with features of known blur.
 
 use nalgebra::Vector2;
 
@@ -10,12 +10,12 @@ use crate::model::{Configuration, Datasheet, LatticeKind, MeasuredBlur, TAKEN};
 use crate::quantity::Estimate;
 
 const TRUE_RATIO: f64 = 0.92;
-/// That which the features were found with.
+/// Aperture ratio with which the features were found.
 const FOUND_WITH: f64 = 0.95;
 const PITCH_MM: f64 = 0.128;
 const Q_PRIME_MM: [f64; 3] = [0.035, 0.041, 0.038];
 
-/// Internal parameters as white images show them, for micro-lenses with the true aperture ratio.
+/// Returns internal parameters as white images show them, for micro-lenses with the true aperture ratio.
 fn start() -> Start {
     let camera = small_camera();
     let datasheet = Datasheet {
@@ -51,8 +51,8 @@ fn grid() -> MicroImageArray {
     }
 }
 
-/// Features of frames whose aperture ratios scatter by `scatter`, with one outlier; features of the last lens type have the
-/// blur of an aperture ratio that is larger by `other`.
+/// Returns features of frames whose aperture ratios scatter by `scatter`, with one outlier per frame. Features of the
+/// last lens type have the blur of an aperture ratio that is larger by `other`.
 fn features(scatter: f64, other: f64) -> Vec<BapFeature> {
     let (half_pitch, pixel) = (PITCH_MM / 0.0055 / 2.0, 0.0055);
     let mut features = Vec::new();
@@ -96,12 +96,12 @@ fn measured(features: &[BapFeature]) -> BlurMeasurement {
     BlurMeasurement::of(&start(), Some(&grid()), features).unwrap().unwrap()
 }
 
-/// One σ of how wide edges are changes all blur alike, and no scatter shows that.
+/// One σ of the excess edge variance changes all blur alike, and no scatter shows that.
 #[test]
 fn what_all_features_share_is_in_the_aperture_ratio() {
     let mut features = features(0.0, 0.0);
     let alone = measured(&features).aperture_ratio;
-    // As if the aperture ratio were larger by 0.01.
+    // Equivalent to an aperture ratio that is larger by 0.01.
     for f in &mut features {
         let blur = f.blur.as_mut().unwrap();
         let growth = f.rho_px.unwrap() - Q_PRIME_MM[grid().lattice.lens_type(f.k, f.l, 3)] / 0.0055;
@@ -152,7 +152,7 @@ fn no_more_than_full_openings_are_taken() {
 #[test]
 fn the_scatter_of_frames_is_in_its_uncertainty() {
     let [alike, scattered] = [0.0, 0.02].map(|s| measured(&features(s, 0.0)).aperture_ratio);
-    // 0.02 of ± 1, eight times.
+    // Eight frames are at ± 0.02.
     assert!((scattered.std_dev - 0.02 / 7.0_f64.sqrt()).abs() < 1e-3, "{scattered:?}");
     assert!(scattered.std_dev > 2.5 * alike.std_dev, "{alike:?}");
 }
@@ -164,7 +164,7 @@ fn uncertain_white_images_are_in_its_uncertainty() {
     let start = Start::Datasheet(sheet, internal);
     let features = features(0.0, 0.0);
     let found = BlurMeasurement::of(&start, Some(&grid()), &features).unwrap().unwrap();
-    // 0.18 px over 2 to 4 px, of three types.
+    // 0.18 px over 2 to 4 px, for three types.
     assert!((0.02..0.06).contains(&found.aperture_ratio.std_dev), "{found:?}");
 }
 
@@ -199,7 +199,7 @@ fn features_go_with_the_aperture_ratio_of_the_start() {
         assert!((of.u_px - was.u_px - 2.0 * change).abs() < 1e-12);
         assert!((of.v_px - was.v_px + change).abs() < 1e-12);
     }
-    // Once is enough.
+    // A second conversion changes nothing.
     assert_eq!(with_that_of_start(restated.clone(), &start, &lattice), restated);
 }
 

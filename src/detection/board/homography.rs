@@ -1,8 +1,8 @@
-//! From places on a board, in columns and rows, to pinhole images.
+//! Homographies from positions on a board, in columns and rows, to pinhole images.
 
 use nalgebra::{DMatrix, Matrix3, Vector2, Vector3};
 
-/// A place on the board and in the image.
+/// Position on the board, and in the image.
 pub(super) type Pair = (Vector2<f64>, Vector2<f64>);
 
 pub(super) fn project(homography: &Matrix3<f64>, at: &Vector2<f64>) -> Vector2<f64> {
@@ -10,15 +10,15 @@ pub(super) fn project(homography: &Matrix3<f64>, at: &Vector2<f64>) -> Vector2<f
     p.xy() / p.z
 }
 
-/// Distance of a corner to the nearest of the next ones, px.
+/// Returns the distance from a corner to the nearest of the next ones, px.
 pub(super) fn step_at(homography: &Matrix3<f64>, at: &Vector2<f64>) -> f64 {
     let here = project(homography, at);
     let to = |step: Vector2<f64>| (project(homography, &(at + step)) - here).norm();
     to(Vector2::x()).min(to(Vector2::y()))
 }
 
-/// The homography between pairs of points, by the linear method on coordinates of unit size; `None`
-/// if they do not determine it.
+/// Fits the homography between pairs of points, by the linear method on coordinates of unit size; `None` if they do not
+/// determine it.
 pub(super) fn homography(pairs: &[Pair]) -> Option<Matrix3<f64>> {
     let count = pairs.len() as f64;
     let unit = |of: fn(&Pair) -> Vector2<f64>| {
@@ -28,7 +28,7 @@ pub(super) fn homography(pairs: &[Pair]) -> Option<Matrix3<f64>> {
         Matrix3::new(scale, 0.0, -middle.x * scale, 0.0, scale, -middle.y * scale, 0.0, 0.0, 1.0)
     };
     let (from, to) = (unit(|pair| pair.0), unit(|pair| pair.1));
-    // Two rows a pair; at least nine rows, so that all nine singular vectors come out.
+    // Each pair has two rows; at least nine are needed for all nine singular vectors.
     let mut rows = DMatrix::zeros((2 * pairs.len()).max(9), 9);
     for (i, (a, b)) in pairs.iter().enumerate() {
         let (a, b) = (project(&from, a), project(&to, b));

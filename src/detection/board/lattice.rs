@@ -1,4 +1,4 @@
-//! The lattices that points may lie on: integer coordinates by growth from neighbours.
+//! Lattices that points may lie on: integer coordinates, grown from neighbours.
 
 use std::collections::HashMap;
 
@@ -8,24 +8,24 @@ use rayon::prelude::*;
 use crate::detection::cells::Cells;
 use crate::model::Board;
 
-/// The points at the nodes of a lattice.
+/// Points at the nodes of a lattice, as indices.
 pub(super) type Nodes = HashMap<(i32, i32), usize>;
 
-/// Fewest points that make a lattice, and its homography with some redundancy.
+/// Smallest number of points of a lattice, for its homography with some redundancy.
 pub(super) const FEWEST: usize = 6;
-/// Neighbours that a lattice may start with.
+/// Number of neighbours that a lattice may start with.
 const NEIGHBOURS: usize = 6;
 /// Number of points that lattices are grown from.
 const SEEDS: usize = 40;
-/// A neighbour is where the last step leads within this part of it; perspective changes steps slowly.
+/// Largest distance of a neighbour from the end of the last step, as a part of it; perspective changes steps slowly.
 const STEP_ERROR: f64 = 0.3;
 /// Number of lattices that are placed on the board.
 const TRIED: usize = 12;
-/// Sides of a square in perspective: least sine of the angle between them, and largest ratio.
+/// Limits for the sides of a square in perspective: smallest sine of the angle between them, and largest ratio.
 const LEAST_SINE: f64 = 0.35;
 const LARGEST_RATIO: f64 = 3.0;
 
-/// Lattices that points at some places lie on, those first of which most points fit on the board.
+/// Returns lattices that points lie on, in descending order of the number of their points that fit on the board.
 pub(super) fn lattices(places: &[Vector2<f64>], board: &Board) -> Vec<Nodes> {
     let (low, high) = places.iter().fold((places[0], places[0]), |(a, b), p| (a.inf(p), b.sup(p)));
     let cells = Cells::new(places, ((high - low).product() / places.len() as f64).sqrt());
@@ -38,7 +38,7 @@ pub(super) fn lattices(places: &[Vector2<f64>], board: &Board) -> Vec<Nodes> {
         for &right in &others {
             for &down in &others {
                 let (a, b) = (away(right), away(down));
-                // Neither mirrored nor too skew to be the sides of a square in perspective.
+                // The steps are neither mirrored nor too skew to be the sides of a square in perspective.
                 if a.perp(&b) > LEAST_SINE * a.norm() * b.norm()
                     && ratio(a.norm(), b.norm()) < LARGEST_RATIO
                 {
@@ -57,8 +57,7 @@ pub(super) fn lattices(places: &[Vector2<f64>], board: &Board) -> Vec<Nodes> {
         seeds.par_iter().flat_map_iter(|&seed| of_seed(seed)).collect();
     // Skewed lattices hold as many points as the true one, but these do not fit on the board.
     all.sort_by_key(|(fitting, _)| std::cmp::Reverse(*fitting));
-    // A lattice that is grown from another seed or in another direction has the same points with the same
-    // steps.
+    // A lattice grown from another seed or in another direction has the same points with the same steps.
     let mut kept: Vec<Nodes> = Vec::new();
     for (_, nodes) in all {
         if kept.len() < TRIED && !kept.iter().any(|other| same_steps(other, &nodes)) {
@@ -68,7 +67,7 @@ pub(super) fn lattices(places: &[Vector2<f64>], board: &Board) -> Vec<Nodes> {
     kept
 }
 
-/// Largest number of points that a board covers, upright or on its side.
+/// Returns the largest number of points that a board covers, upright or on its side.
 fn fitting(nodes: &Nodes, board: &Board) -> usize {
     let most = |columns: i32, rows: i32| {
         let xs = || nodes.keys().map(|at| at.0);
@@ -93,7 +92,7 @@ fn ratio(a: f64, b: f64) -> f64 {
     (a / b).max(b / a)
 }
 
-/// Whether two lattices of the same points differ by a shift and quarter turns of the coordinates only.
+/// Returns true if two lattices of the same points differ only by a shift and quarter turns of the coordinates.
 fn same_steps(a: &Nodes, b: &Nodes) -> bool {
     if a.len() != b.len() {
         return false;
@@ -111,7 +110,7 @@ fn same_steps(a: &Nodes, b: &Nodes) -> bool {
     (0..4).any(same)
 }
 
-/// A node after quarter turns about (0, 0).
+/// Returns a node after quarter turns about (0, 0).
 pub(super) fn turned((x, y): (i32, i32), quarter_turns: u8) -> (i32, i32) {
     match quarter_turns {
         0 => (x, y),
@@ -140,7 +139,7 @@ fn grow(places: &[Vector2<f64>], cells: &Cells, [seed, right, down]: [usize; 3])
             if nodes.contains_key(&to) {
                 continue;
             }
-            // The step that led here, or the same one beside, or the first one.
+            // The step is the one that led here, the same one beside it, or the first one.
             let at = |x, y| nodes.get(&(x, y)).map(|&i| place(i));
             let step = at(x - dx, y - dy)
                 .map(|before| here - before)

@@ -1,4 +1,4 @@
-//! Boards in perspective: turned, symmetric, incomplete, of another size.
+//! Tests with boards in perspective: turned, symmetric, incomplete, of another size.
 
 use super::*;
 use crate::finding::Issue;
@@ -7,7 +7,7 @@ use crate::model::Sensor;
 const BOARD: Board = Board { columns: 8, rows: 5, square_mm: 3.0 };
 const SENSOR: Sensor = Sensor { width_px: 1000, height_px: 750, pixel_size_mm: 0.0055 };
 
-/// A board seen in perspective, turned by some degrees about the middle of the image.
+/// Returns a board in perspective, turned by some degrees about the middle of the image.
 fn seen(board: &Board, degrees: f64, shift: Vector2<f64>) -> Vec<LatticePoint> {
     let turn = nalgebra::Rotation2::new(degrees.to_radians());
     let middle = Vector2::new(f64::from(board.columns - 1), f64::from(board.rows - 1)) / 2.0;
@@ -61,7 +61,7 @@ fn a_symmetric_board_runs_to_the_right() {
     assert_eq!(corners, turned);
 }
 
-/// Two columns are beyond what can be seen, though not beyond the sensor.
+/// Checks a board with two columns out of view, though not beyond the sensor.
 #[test]
 fn what_is_out_of_view_does_not_count_as_missing() {
     let seen = (0..).zip(seen(&BOARD, 0.0, Vector2::zeros()));
@@ -76,18 +76,18 @@ fn what_is_out_of_view_does_not_count_as_missing() {
     assert!(matches!(why, Issue::SeveralPlaces { .. }), "{why}");
 }
 
-/// Turned by about 90 degrees neither way runs to the right; the first corner is on top then.
+/// Checks boards turned by about 90 degrees: no rows run to the right, so the first corner is on top.
 #[test]
 fn a_symmetric_board_on_its_side_is_at_one_place() {
     for (columns, rows, angles) in [
         (9, 5, vec![80, 85, 90, 95, 100, 265, 270]),
         (6, 4, vec![80, 90, 100, 272]),
-        // The same when turned by a quarter.
+        // This board is the same when turned by a quarter.
         (8, 8, vec![0, 44, 45, 46, 90, 135]),
     ] {
         let board = Board { columns, rows, square_mm: 3.0 };
         for degrees in angles {
-            // Far enough away to be seen whole.
+            // The board is far enough away to be seen whole.
             let points: Vec<LatticePoint> = seen(&board, f64::from(degrees), Vector2::zeros())
                 .into_iter()
                 .map(|p| LatticePoint { place: p.place * 0.7 + Vector2::new(150.0, 112.0), ..p })
@@ -101,12 +101,12 @@ fn a_symmetric_board_on_its_side_is_at_one_place() {
             let above = |corner: i32| place(0).y <= place(corner).y;
             let last = columns * rows - 1;
             assert!(row.x > 0.1 || above(last), "{columns} x {rows}, {degrees} degrees");
-            // Two ways run to the right alike here, of which one has its first corner on top.
+            // The rows of two placements run to the right alike here, and one of them has its first corner on top.
             let is_top = above(columns - 1) && above(last - columns + 1) && above(last);
             assert!(degrees != 45 || is_top, "{columns} x {rows}, {degrees} degrees");
         }
     }
-    // It is not at one place if it may go on to either side.
+    // The position is ambiguous if the board may continue on either side.
     let board = Board { columns: 9, rows: 5, square_mm: 3.0 };
     let middle = |corner: &i32| (2..7).contains(&(corner % 9));
     let points: Vec<LatticePoint> = (0..)
@@ -137,8 +137,8 @@ fn missing_corners_and_clutter_do_not_matter() {
     assert_eq!(labelled(&points, &BOARD).unwrap(), expected);
 }
 
-/// With so many lost, lattices of steps across corners leave out hardly more than the true one. Some boards fall apart,
-/// but none gets wrong labels.
+/// Checks boards with so many lost corners that lattices of steps across corners leave out hardly more than the true one. Some
+/// boards are not found, but none gets wrong labels.
 #[test]
 fn a_sixth_of_the_corners_may_be_lost_anywhere() {
     const SEEDS: u32 = 200;
@@ -162,10 +162,10 @@ fn a_sixth_of_the_corners_may_be_lost_anywhere() {
     assert!(labelled_boards > 190, "{labelled_boards} of {SEEDS}");
 }
 
-/// A part of the board that would fit in two ways, if all corners behind a missing column did not count.
+/// Checks a part of the board that would fit in two ways if the corners behind a missing column did not count.
 #[test]
 fn corners_behind_a_missing_column_tell_which_part_of_the_board_is_in_view() {
-    // Its last rows would be in view, if the board were turned by 90 degrees, but for the border below.
+    // If the board were turned by 90 degrees, its last rows would be in view but for the border below.
     let shift = Vector2::new(0.0, 500.0 - 374.5);
     let all = seen(&BOARD, 0.0, shift);
     let points: Vec<(i32, LatticePoint)> =
@@ -180,7 +180,7 @@ fn corners_behind_a_missing_column_tell_which_part_of_the_board_is_in_view() {
 fn what_is_no_board_is_rejected_with_the_reason() {
     let points = seen(&BOARD, 0.0, Vector2::zeros());
     let smaller = Board { columns: 7, rows: 4, square_mm: 3.0 };
-    // Both ask for another size of the board.
+    // Both issues ask for another size of the board.
     let why = labelled(&points, &smaller).unwrap_err();
     let is_size = matches!(why, Issue::BeyondBoard { .. } | Issue::SeveralPlaces { .. });
     assert!(is_size, "{why}");
@@ -188,7 +188,7 @@ fn what_is_no_board_is_rejected_with_the_reason() {
     assert_eq!(labelled(&points[..3], &BOARD), Err(too_few));
     let large = labelled(&points, &Board { columns: 90, rows: 90, square_mm: 1.0 }).unwrap_err();
     assert!(large.to_string().contains("6 to 2500"), "{large}");
-    // On a circle lies no lattice.
+    // A circle holds no lattice.
     let circle: Vec<LatticePoint> = (0..20)
         .map(|i| {
             let (sin, cos) = (f64::from(i) * 0.314).sin_cos();
@@ -199,7 +199,7 @@ fn what_is_no_board_is_rejected_with_the_reason() {
     assert!(labelled(&circle, &BOARD).is_err());
 }
 
-/// Skewed lattices have as many of these points as the true one, in many ways; a quarter are missing.
+/// Checks points through which skewed lattices have as many points as the true one, in many ways; a quarter are missing.
 #[test]
 fn the_true_lattice_is_among_those_tried() {
     let found = [

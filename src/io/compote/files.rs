@@ -1,4 +1,4 @@
-//! The layout of COMPOTE's JSON files, and the parts that several of them share.
+//! Layout of COMPOTE's JSON files, and the parts that several of them share.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use serde::Deserialize;
@@ -153,14 +153,14 @@ impl SensorFile {
 }
 
 impl PoseFile {
-    /// Takes points of this frame into the parent frame.
+    /// Returns the transformation from this frame to the parent frame.
     pub(super) fn parent_from_own(&self) -> Result<Isometry3<f64>> {
         let rows = &self.rotation;
         if rows.len() != 3 || rows.iter().any(|row| row.len() != 3) {
             return Err(Error::invalid("a pose's rotation is not a 3 x 3 matrix"));
         }
         let matrix = Matrix3::from_fn(|i, j| rows[j][i].0);
-        // Written with about 16 digits; a larger error is not rounding.
+        // Numbers have about 16 digits; a larger error is not rounding.
         if (matrix * matrix.transpose() - Matrix3::identity()).norm() > 1e-6
             || matrix.determinant() < 0.0
         {

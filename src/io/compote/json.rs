@@ -1,4 +1,4 @@
-//! COMPOTE's way of writing numbers, vectors and matrices in JSON.
+//! Numbers, vectors and matrices in COMPOTE's JSON files.
 
 use nalgebra::{Dim, Matrix, RawStorage};
 use serde::de::Error as _;
@@ -7,19 +7,19 @@ use serde_json::{Value, json};
 
 use crate::error::{Error, Result};
 
-/// A finite number, written as a number or as a string.
+/// Finite number, written as a number or as a string.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Number(pub f64);
 
-/// A distance, which may be infinite, written like a [`Number`].
+/// Distance, which may be infinite, written like a [`Number`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Distance(pub f64);
 
-/// A whole number, written as a number or as a string.
+/// Whole number, written as a number or as a string.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Integer(pub i64);
 
-/// A vector, written as a list or as a matrix of one row or column.
+/// Vector, written as a list or as a matrix of one row or column.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Vector(Vec<f64>);
 

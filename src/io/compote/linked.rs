@@ -12,15 +12,15 @@ use crate::model::{BapFeature, MicroImageCenter, Observations};
 const CENTER_BYTES: usize = 24;
 /// Bytes of a corner or feature (k, l: i32; u, v, rho: f64; cluster, frame: i32).
 const FEATURE_BYTES: usize = 40;
-/// A file of more bytes after decompression is damaged or hostile, not a set of observations.
+/// Largest number of bytes after decompression; a larger file is damaged or hostile.
 const MAX_BYTES: u64 = 1 << 28;
 
-/// Whether the bytes begin like a gzip stream.
+/// Returns true if the bytes begin like a gzip stream.
 pub(in crate::io) fn is_linked_observations(bytes: &[u8]) -> bool {
     bytes.starts_with(&[0x1f, 0x8b])
 }
 
-/// The observations in a gzip stream.
+/// Reads the observations in a gzip stream.
 pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
     let mut data = Vec::new();
     MultiGzDecoder::new(bytes).take(MAX_BYTES + 1).read_to_end(&mut data).map_err(|e| {
@@ -35,7 +35,7 @@ pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
     sections(&data)
 }
 
-/// Centres, corners and features.
+/// Reads centres, corners and features.
 fn sections(data: &[u8]) -> Result<Observations> {
     let mut rest = data;
     let centers: Vec<MicroImageCenter> = section(&mut rest, "centres", CENTER_BYTES, |r| {
@@ -108,7 +108,7 @@ fn i32_at(record: &[u8], offset: usize) -> i32 {
     i32::from_le_bytes(bytes_at(record, offset))
 }
 
-/// An error if it is not finite.
+/// Reads a number; an error if it is not finite.
 fn f64_at(record: &[u8], offset: usize) -> Result<f64> {
     let value = f64::from_le_bytes(bytes_at(record, offset));
     if value.is_finite() {

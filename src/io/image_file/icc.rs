@@ -1,16 +1,16 @@
-//! ICC profiles: whether samples are linear in light (ICC.1:2022, sections 7 and 10).
+//! ICC profiles: declared tone curves of samples (ICC.1:2022, sections 7 and 10).
 
-/// Tags of the curves that lead from samples to light: of red, green, blue and grey.
+/// Tags of the tone curves from samples to light: red, green, blue and grey.
 const CURVES: [&[u8]; 4] = [b"rTRC", b"gTRC", b"bTRC", b"kTRC"];
-/// Where the table of tags begins, and the bytes of one of its entries.
+/// Offset of the table of tags, and size of one of its entries, bytes.
 const TABLE: usize = 128;
 const ENTRY: usize = 12;
-/// No profile has more tags.
+/// Largest number of tags.
 const MOST: usize = 100;
-/// A curve that is nowhere further from a straight line, as a part of full scale, is one.
+/// Largest deviation of a straight curve from a straight line, as a fraction of full scale.
 const STRAIGHT: f64 = 0.01;
 
-/// What a profile says that light is of the samples, such as "ICC profile sRGB"; `None` if it is linear, or not said.
+/// Describes the tone curve of a profile, such as "ICC profile sRGB"; `None` if it is linear or not stated.
 pub fn curve(profile: &[u8]) -> Option<String> {
     let count = number(profile, TABLE)?.min(MOST);
     let tag = |i: usize| -> Option<&[u8]> {
@@ -28,7 +28,7 @@ pub fn curve(profile: &[u8]) -> Option<String> {
     Some(format!("ICC profile {}", if names_srgb { "sRGB" } else { &curve }))
 }
 
-/// A curve that is not straight, in words.
+/// Describes a curve that is not straight; `None` if it is straight.
 fn bent(curve: &[u8]) -> Option<String> {
     let tone_curve = || "with a tone curve".to_owned();
     let power =

@@ -1,20 +1,20 @@
-//! JPEG files: their segments (ITU-T T.81, annex B).
+//! Segments of JPEG files (ITU-T T.81, annex B).
 
-/// What a JPEG file begins with.
+/// First bytes of a JPEG file.
 pub const MAGIC: &[u8] = &[0xff, 0xd8];
 const END_OF_IMAGE: u8 = 0xd9;
 const START_OF_SCAN: u8 = 0xda;
 
-/// A marker with what belongs to it.
+/// Marker with its content.
 #[derive(Clone, Copy)]
 pub struct Segment<'a> {
     pub marker: u8,
     pub content: &'a [u8],
-    /// The file behind it.
+    /// Rest of the file after the segment.
     pub after: &'a [u8],
 }
 
-/// The segments that are whole, the end of the image among them. What lies in between, the scans, is passed over.
+/// Returns the complete segments, including the end of the image. Data between them, the scans, are skipped.
 pub fn segments(bytes: &[u8]) -> impl Iterator<Item = Segment<'_>> {
     let mut rest = bytes.strip_prefix(MAGIC).unwrap_or_default();
     std::iter::from_fn(move || {
@@ -22,7 +22,7 @@ pub fn segments(bytes: &[u8]) -> impl Iterator<Item = Segment<'_>> {
             let at = rest.windows(2).position(|pair| pair[0] == 0xff && pair[1] != 0xff)?;
             let (&marker, after) = rest[at + 1..].split_first()?;
             let (content, after) = match marker {
-                // A sample of 255, and markers without content.
+                // Escaped bytes 255 of a scan, and markers without content.
                 0x00 | 0x01 | 0xd0..=0xd8 => {
                     rest = after;
                     continue;
@@ -40,12 +40,12 @@ pub fn segments(bytes: &[u8]) -> impl Iterator<Item = Segment<'_>> {
     })
 }
 
-/// The segments before the first scan.
+/// Returns the segments before the first scan.
 pub fn header(bytes: &[u8]) -> impl Iterator<Item = Segment<'_>> {
     segments(bytes).take_while(|segment| segment.marker != START_OF_SCAN)
 }
 
-/// Whether the file goes on to the end of the image.
+/// Returns true if the file contains the end of the image.
 pub fn is_whole(bytes: &[u8]) -> bool {
     segments(bytes).any(|segment| segment.marker == END_OF_IMAGE)
 }

@@ -30,10 +30,10 @@ use crate::image::{Color, RawImage, Samples};
 
 pub use notes::image_findings;
 
-/// The samples of an image may take so many bytes.
+/// Largest size of the samples of an image, bytes.
 const LIMIT_BYTES: u64 = 512 << 20;
 
-/// What a file has, before its colour is interpreted.
+/// Content of a file before its colour is interpreted.
 struct Decoded {
     width: usize,
     height: usize,
@@ -44,35 +44,35 @@ struct Decoded {
 
 /// Reads a PNG, TIFF, BMP, PGM/PPM or JPEG file; transparency is ignored.
 ///
-/// Samples have 8 or 16 bits. Those of TIFF files may also be signed, of 32 or 64 bits, or floating-point numbers if
-/// they are grey levels from 0 to 65535; these are rounded to whole levels. Of several pages the first is read.
+/// Samples have 8 or 16 bits. Samples of TIFF files may also be signed, have 32 or 64 bits, or be floating-point numbers, if
+/// they are grey levels from 0 to 65535; these are rounded to whole levels. Only the first of several pages is read.
 ///
-/// `color` says what the samples stand for; without it they are grey or RGB, as in the file. A file
-/// with three channels cannot be a colour mosaic, and one with a single channel cannot be RGB.
+/// `color` states the meaning of the samples; without it they are grey or RGB, as in the file. A file with three channels
+/// cannot be a colour mosaic, and one with a single channel cannot be RGB.
 pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
-    // Read whole before it is decoded: a failure of the disk is one of reading, not of the image.
+    // Reading the whole file first separates errors of the disk from errors of the image.
     image_of(&read_bytes(path)?, color).map_err(|e| e.in_file(path))
 }
 
-/// The image in the bytes of a file.
+/// Decodes the image in the bytes of a file.
 pub(super) fn image_of(bytes: &[u8], color: Option<Color>) -> Result<RawImage> {
     decode(bytes).and_then(|decoded| interpreted(decoded, color))
 }
 
-/// Width and height, px, and grey or RGB, from the header of an image file.
+/// Returns width and height, px, and grey or RGB, from the header of an image file.
 pub(super) fn format_of(path: &Path) -> Result<(u32, u32, Color)> {
     header_of(path).map(|(format, _)| format)
 }
 
-/// Number of bytes that the samples of an image file take in memory, by its header.
+/// Returns the size of the samples of an image file in memory, bytes, from its header.
 pub fn image_bytes(path: &Path) -> Result<u64> {
     let ((width, height, color), sample_bytes) = header_of(path)?;
-    // A header may state any size.
+    // The product may overflow, since a header may state any size.
     let pixels = u64::from(width) * u64::from(height);
     Ok(pixels.saturating_mul(color.samples() as u64 * sample_bytes))
 }
 
-/// Width, height and colour, and bytes of a sample.
+/// Width, height and colour, and bytes per sample.
 type Header = ((u32, u32, Color), u64);
 
 fn header_of(path: &Path) -> Result<Header> {
@@ -127,7 +127,7 @@ fn decode(bytes: &[u8]) -> Result<Decoded> {
     samples_of(DynamicImage::from_decoder(decoder).map_err(wrong)?)
 }
 
-/// A decoder of the format that a file has, by its first bytes, and the name of the format.
+/// Returns a decoder for the format of a file, by its first bytes, and the name of the format.
 fn reader_of<R: io::BufRead + io::Seek>(file: R) -> Result<(ImageReader<R>, &'static str)> {
     let reader =
         ImageReader::new(file).with_guessed_format().map_err(|e| unreadable("image", &e))?;
@@ -175,7 +175,7 @@ fn samples_of(decoded: DynamicImage) -> Result<Decoded> {
     Ok(Decoded { width, height, color, samples })
 }
 
-/// The image as samples of this colour.
+/// Returns the image as samples of this colour.
 fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
     let Decoded { width, height, color: stored, samples } = decoded;
     if width == 0 || height == 0 {
@@ -183,7 +183,7 @@ fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
             "this image of {width} x {height} px is empty: save it again"
         )));
     }
-    // A header may contradict itself, and a decoder follow one part of it where another is read here.
+    // In a contradictory header, the decoder may use another part than this function.
     let count = match &samples {
         Samples::Bits8(samples) => samples.len(),
         Samples::Bits16(samples) => samples.len(),
@@ -195,7 +195,7 @@ fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
     }
     let color = match (color, stored) {
         (None, stored) => stored,
-        // A grey picture may be stored in three channels.
+        // A grey image may be stored in three channels.
         (Some(Color::Grey | Color::Rgb), Color::Rgb) => Color::Rgb,
         (Some(color), Color::Grey) if color != Color::Rgb => color,
         (Some(color), _) => {
@@ -210,19 +210,19 @@ fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
     Ok(RawImage { width, height, color, samples })
 }
 
-/// The error for a file whose end is missing.
+/// Creates the error for a file whose end is missing.
 fn cut_off(format: &str) -> Error {
     Error::invalid(format!("this {format} file is cut off: copy it again, or take the image again"))
 }
 
-/// The error for a file of which a part is missing or not what was written.
+/// Creates the error for a file of which a part is missing or corrupt.
 fn damaged(format: &str) -> Error {
     Error::invalid(format!(
         "this {format} file is damaged, and a part of the image is missing: copy it again, or take the image again"
     ))
 }
 
-/// The error for a file that cannot be decoded.
+/// Creates the error for a file that cannot be decoded.
 fn unreadable(format: &str, reason: &dyn Display) -> Error {
     Error::invalid(format!(
         "this {format} file cannot be read ({reason}): copy it again if it is damaged; else save the image as PNG or TIFF \
@@ -238,13 +238,13 @@ fn refused(format: &str, error: &ImageError) -> Error {
             LIMIT_BYTES >> 20
         )),
         error if is_end_of_file(error) => cut_off(format),
-        // The header of a PGM file ends with the file.
+        // This message means that the file ends within the header of a PGM image.
         error if error.to_string().ends_with("Unexpected end of PNM header") => cut_off(format),
         error => unreadable(format, error),
     }
 }
 
-/// Whether an error is, or comes from, an end of file where none should be.
+/// Returns true if an error is, or is caused by, an unexpected end of file.
 fn is_end_of_file(error: &(dyn StdError + 'static)) -> bool {
     let mut cause = Some(error);
     while let Some(error) = cause {
@@ -268,7 +268,7 @@ fn too_large(width: u32, height: u32) -> Error {
     ))
 }
 
-/// An error for an image that is too large.
+/// Returns an error if an image is too large.
 fn within_limit(width: u32, height: u32, bytes_per_pixel: u64) -> Result<()> {
     let bytes = u64::from(width) * u64::from(height);
     match bytes.checked_mul(bytes_per_pixel) {
@@ -277,7 +277,7 @@ fn within_limit(width: u32, height: u32, bytes_per_pixel: u64) -> Result<()> {
     }
 }
 
-/// Writes a raw image as PNG, 8 or 16 bit, grey (a colour mosaic too) or RGB.
+/// Writes a raw image as PNG, 8 or 16 bits, grey (also for a colour mosaic) or RGB.
 pub fn write_png(out: &mut dyn Write, raw: &RawImage) -> io::Result<()> {
     let rgb = raw.color == Color::Rgb;
     let (bytes, color) = match &raw.samples {
@@ -287,7 +287,7 @@ pub fn write_png(out: &mut dyn Write, raw: &RawImage) -> io::Result<()> {
         }
         Samples::Bits16(samples) => {
             let color = if rgb { ExtendedColorType::Rgb16 } else { ExtendedColorType::L16 };
-            // The encoder takes the machine's byte order.
+            // The encoder expects the machine's byte order.
             (samples.iter().flat_map(|s| s.to_ne_bytes()).collect(), color)
         }
     };
@@ -295,8 +295,8 @@ pub fn write_png(out: &mut dyn Write, raw: &RawImage) -> io::Result<()> {
     encode(encoder, raw, &bytes, color)
 }
 
-/// Writes a raw image as JPEG of a quality from 1 to 100, 8 bit, grey or RGB. An error for samples of 16 bits
-/// and for a colour mosaic, whose colours JPEG would mix.
+/// Writes a raw image as JPEG with a quality from 1 to 100, 8 bits, grey or RGB. An error for samples of 16 bits and for a
+/// colour mosaic, whose colours JPEG would mix.
 pub fn write_jpeg(out: &mut dyn Write, raw: &RawImage, quality: u8) -> io::Result<()> {
     let (Samples::Bits8(samples), Color::Grey | Color::Rgb) = (&raw.samples, raw.color) else {
         return Err(io::Error::other(
@@ -317,7 +317,7 @@ fn encode(
     let size = |pixels: usize| u32::try_from(pixels).map_err(io::Error::other);
     encoder.write_image(bytes, size(raw.width)?, size(raw.height)?, color).map_err(|error| {
         match error {
-            // A full disk, for example: the system's own message says it best.
+            // The system's own message is the clearest, for example for a full disk.
             ImageError::IoError(error) => error,
             other => io::Error::other(other),
         }

@@ -11,34 +11,34 @@ use super::{icc, jpeg, png, tiff};
 use crate::finding::{Finding, Issue};
 use crate::io::open;
 
-/// Profiles and EXIF blocks of PNG and JPEG files come before the samples.
+/// Size of the beginning of PNG and JPEG files that contains profiles and EXIF blocks, bytes.
 const HEAD: u64 = 1 << 20;
-/// No profile of a curve is longer.
+/// Largest size of a profile, bytes.
 const LONGEST_PROFILE: u64 = 1 << 22;
-/// Segments of JPEG files with EXIF blocks and profiles, and what their contents begin with.
+/// Markers of the segments of JPEG files with EXIF blocks and profiles, and the first bytes of their contents.
 const APP1: u8 = 0xe1;
 const APP2: u8 = 0xe2;
 const EXIF: &[u8] = b"Exif\0\0";
 const ICC: &[u8] = b"ICC_PROFILE\0";
-/// `ColorSpace` of EXIF blocks.
+/// Value of `ColorSpace` in EXIF blocks for sRGB.
 const SRGB: u64 = 1;
-/// `gAMA` of samples that are linear in light, and its unit.
+/// Value of `gAMA` for samples that are linear in light, which is also its unit.
 const LINEAR_GAMA: u32 = 100_000;
 
-/// What a file says.
+/// Declarations of a file.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 struct Notes {
-    /// Why the samples are not linear in light.
+    /// Reason why the samples are not linear in light.
     curve: Option<String>,
-    /// How the image is to be turned or mirrored, if it is.
+    /// Declared rotation or reflection of the image, if there is one.
     orientation: Option<u64>,
-    /// Pages, smaller versions and masks apart.
+    /// Number of pages without smaller versions and masks.
     pages: usize,
 }
 
-/// Findings about image files that declare samples that are not linear in light, an orientation, or several pages. None of
-/// this is applied: samples and pixels are used as stored. Files that cannot be read give no finding here: reading them
-/// reports why.
+/// Returns findings about image files that declare samples that are not linear in light, an orientation, or several pages. None
+/// of these is applied: samples and pixels are used as stored. A file that cannot be read gives no finding here, since reading
+/// it reports the reason.
 #[must_use]
 pub fn image_findings<P: AsRef<Path> + Sync>(images: &[P]) -> Vec<Finding> {
     let notes: Vec<(String, Notes)> = images
@@ -68,7 +68,7 @@ pub fn image_findings<P: AsRef<Path> + Sync>(images: &[P]) -> Vec<Finding> {
     issues.into_iter().flatten().map(Finding::caution).collect()
 }
 
-/// How many there are, and the first.
+/// Returns the number of items, and the first one.
 fn first_of<T>(mut found: impl Iterator<Item = (String, T)>) -> Option<(usize, String, T)> {
     let (name, what) = found.next()?;
     Some((1 + found.count(), name, what))
@@ -111,7 +111,7 @@ fn is_turned(orientation: &u64) -> bool {
     (2..=8).contains(orientation)
 }
 
-/// Orientation and colour space of an EXIF block.
+/// Returns orientation and colour space of an EXIF block.
 fn of_exif(block: &[u8]) -> Notes {
     let Some(mut tags) = Tags::of(Cursor::new(block)) else { return Notes::default() };
     let Some(page) = tags.first() else { return Notes::default() };
@@ -132,7 +132,7 @@ fn of_jpeg(head: &[u8]) -> Notes {
         of_kind.filter_map(move |segment| segment.content.strip_prefix(begin))
     };
     let exif = with(APP1, EXIF).next().map(of_exif).unwrap_or_default();
-    // After the number of the segment and how many there are.
+    // The first two bytes are the number of the segment and the number of segments.
     let profile: Vec<u8> =
         with(APP2, ICC).flat_map(|content| content.get(2..).unwrap_or_default()).copied().collect();
     let curve = if profile.is_empty() { exif.curve } else { icc::curve(&profile) };
@@ -144,7 +144,7 @@ fn of_png(head: &[u8]) -> Notes {
         png::chunks(head).find(|(name, _)| name == wanted).map(|(_, content)| content)
     };
     let exif = chunk(b"eXIf").map(of_exif).unwrap_or_default();
-    // A profile goes before the other chunks, and sRGB before gAMA.
+    // A profile takes precedence over the other chunks, and sRGB over gAMA.
     let curve = if let Some(profile) = chunk(b"iCCP").and_then(unpacked_profile) {
         icc::curve(&profile)
     } else if chunk(b"sRGB").is_some() {
@@ -159,7 +159,7 @@ fn of_png(head: &[u8]) -> Notes {
     Notes { curve, ..exif }
 }
 
-/// The profile in an `iCCP` chunk: after its name and the method of compression.
+/// Unpacks the profile in an `iCCP` chunk, which follows its name and the method of compression.
 fn unpacked_profile(chunk: &[u8]) -> Option<Vec<u8>> {
     let end = chunk.iter().position(|byte| *byte == 0)?;
     let mut profile = Vec::new();

@@ -1,31 +1,31 @@
-//! The scans of JPEG files, by their Huffman codes: whether all blocks of the image are there (ITU-T T.81, annexes A and F).
+//! Completeness of the scans of JPEG files, from their Huffman codes (ITU-T T.81, annexes A and F).
 //!
-//! Decoders fill what is missing with grey, as browsers do: a board would lose corners, and a white image micro-images,
-//! without a word. Here codes are counted, and no sample is computed.
+//! Decoders fill missing blocks with grey, as browsers do: a board would silently lose corners, and a white image micro-images.
+//! Here codes are counted, and no sample is computed.
 
 use super::jpeg::{Segment, segments};
 
 const TABLES: u8 = 0xc4;
 const RESTART_INTERVAL: u8 = 0xdd;
 const START_OF_SCAN: u8 = 0xda;
-/// Frames of one pass over the image, whose scans are read here.
+/// Markers of frames with one pass over the image; only their scans are read here.
 const SEQUENTIAL: [u8; 2] = [0xc0, 0xc1];
-/// Samples along the edge of a block, and in a block.
+/// Number of samples along the edge of a block, and in a block.
 const EDGE: usize = 8;
 const BLOCK: usize = 64;
 const LONGEST_CODE: usize = 16;
-/// Codes of 16 runs of zeros, and of no more of the block.
+/// Symbols for a run of 16 zeros, and for the end of a block.
 const ZEROS: u8 = 0xf0;
 const END_OF_BLOCK: u8 = 0;
 
-/// Symbols and lengths of codes, by the 16 bits that begin with one; a length of 0 where there is none.
+/// Symbols and lengths of codes, by the 16 bits that begin with a code; the length is 0 if no code fits.
 type Table = Vec<(u8, u8)>;
 
-/// A component of the image.
+/// Component of the image.
 #[derive(Clone, Copy)]
 struct Component {
     id: u8,
-    /// Blocks along u and along v in a unit of all components.
+    /// Number of its blocks along u and along v in a unit of all components.
     blocks: [usize; 2],
 }
 
@@ -33,13 +33,13 @@ struct Component {
 struct State {
     size: [usize; 2],
     components: Vec<Component>,
-    /// Tables of the first and of the other coefficients of blocks.
+    /// Tables of the first coefficient of blocks and of the others.
     tables: [[Table; 4]; 2],
     restart_interval: usize,
 }
 
-/// Whether the scans of a file have all blocks of the image. Files with several passes over the image, and those that are
-/// not understood, are left to the decoder.
+/// Returns true if the scans of a file contain all blocks of the image. Files with several passes over the image, and files
+/// that are not understood, also return true: they are left to the decoder.
 pub fn are_complete(bytes: &[u8]) -> bool {
     let mut state = State::default();
     for segment in segments(bytes) {
@@ -75,7 +75,7 @@ impl State {
         };
         let count = usize::from(*content.get(5)?);
         self.components = content.get(6..6 + 3 * count)?.chunks_exact(3).map(component).collect();
-        // The height may come later.
+        // The height may be stated in a later segment.
         self.size.iter().all(|edge| *edge > 0).then_some(())
     }
 
@@ -96,7 +96,7 @@ impl State {
         Some(())
     }
 
-    /// The tables of each block of a unit, and how many units there are.
+    /// Returns the tables of each block of a unit, and the number of units.
     fn scan(&self, content: &[u8]) -> Option<Scan<'_>> {
         let count = usize::from(*content.first()?);
         let largest = |axis: usize| self.components.iter().map(|c| c.blocks[axis]).max();
@@ -125,7 +125,7 @@ impl State {
     }
 }
 
-/// All 16 bits that begin with a code.
+/// Fills the table with all sequences of 16 bits that begin with a code.
 fn table(counts: &[u8; LONGEST_CODE], symbols: &[u8]) -> Option<Table> {
     let mut table = vec![(0, 0); 1 << LONGEST_CODE];
     let (mut code, mut next) = (0_usize, symbols.iter());
@@ -162,7 +162,7 @@ impl Scan<'_> {
     }
 }
 
-/// Passes over a block; `None` if its codes end early or are none.
+/// Skips a block; `None` if its codes end early or are invalid.
 fn pass_block(bits: &mut Bits, [dc, ac]: &[&Table; 2]) -> Option<()> {
     let size = bits.symbol(dc)?;
     bits.pass(size.into())?;
@@ -171,7 +171,7 @@ fn pass_block(bits: &mut Bits, [dc, ac]: &[&Table; 2]) -> Option<()> {
         match bits.symbol(ac)? {
             END_OF_BLOCK => break,
             ZEROS => at += 16,
-            // A run of blocks that end, which a file of one pass does not have.
+            // The end of several blocks at once, which does not occur in a file of one pass.
             symbol if symbol % 16 == 0 => return None,
             symbol => {
                 at += usize::from(symbol >> 4) + 1;
@@ -182,7 +182,7 @@ fn pass_block(bits: &mut Bits, [dc, ac]: &[&Table; 2]) -> Option<()> {
     Some(())
 }
 
-/// The bits of a scan, up to the next marker.
+/// Bits of a scan, up to the next marker.
 struct Bits<'a> {
     data: &'a [u8],
     held: u64,
@@ -212,7 +212,7 @@ impl Bits<'_> {
         if self.count < LONGEST_CODE {
             self.fill();
         }
-        // Beyond the end there are ones, of which no code consists.
+        // Missing bits are set to 1, since no code consists of ones alone.
         let next = if self.count >= LONGEST_CODE {
             self.held >> (self.count - LONGEST_CODE)
         } else {
@@ -232,9 +232,9 @@ impl Bits<'_> {
         Some(())
     }
 
-    /// Goes on behind a restart marker; `false` if there is none.
+    /// Continues after a restart marker; returns false if there is none.
     fn restart(&mut self) -> bool {
-        // What has been read belongs to the interval before, since no marker is passed over.
+        // All bits read so far belong to the interval before, since `fill` stops at a marker.
         self.fill();
         (self.held, self.count) = (0, 0);
         while let [0xff, 0xff, rest @ ..] = self.data {

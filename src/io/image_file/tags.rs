@@ -1,4 +1,4 @@
-//! Tags of TIFF files, and of the EXIF blocks of other files, which are TIFF files without an image
+//! Tags of TIFF files, and of EXIF blocks of other files, which are TIFF files without an image
 //! (<https://www.itu.int/itudoc/itu-t/com16/tiff-fx/docs/tiff6.pdf>, section 2).
 
 use std::collections::HashSet;
@@ -21,44 +21,44 @@ pub mod tag {
     pub const EXIF_COLOR_SPACE: u16 = 40_961;
 }
 
-/// No file has more pages, and what a damaged one says is not followed any longer.
+/// Largest number of pages; it limits the work for a damaged file.
 const MOST_PAGES: usize = 100_000;
-/// No tag that is used here is longer.
+/// Largest size of a tag used here, bytes.
 const LONGEST: u64 = 1 << 24;
 
-/// The tags of a TIFF or `BigTIFF` file.
+/// Reader of the tags of a TIFF or `BigTIFF` file.
 pub struct Tags<R> {
     file: R,
     big_endian: bool,
-    /// Whether offsets have 64 bits.
+    /// True if offsets have 64 bits.
     wide: bool,
     /// Offset of the first page.
     first: u64,
 }
 
-/// A tag of a page.
+/// Tag of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Entry {
     tag: u16,
     kind: u16,
     count: u64,
-    /// Where its value, or the offset of it, is.
+    /// Offset of its value, or of the offset of the value.
     pub at: u64,
 }
 
-/// The tags of one page.
+/// Tags of one page.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Page(Vec<Entry>);
 
 impl Page {
-    /// The tag of a number.
+    /// Returns the tag with a number.
     pub fn entry(&self, tag: u16) -> Option<Entry> {
         self.0.iter().find(|entry| entry.tag == tag).copied()
     }
 }
 
 impl<R: Read + Seek> Tags<R> {
-    /// The tags of a file; `None` if it is no TIFF file.
+    /// Reads the header of a file; `None` if it is no TIFF file.
     pub fn of(file: R) -> Option<Self> {
         let mut tags = Self { file, big_endian: false, wide: false, first: 0 };
         let head = tags.bytes(0, 4)?;
@@ -78,12 +78,12 @@ impl<R: Read + Seek> Tags<R> {
         Some(tags)
     }
 
-    /// The first page.
+    /// Reads the first page.
     pub fn first(&mut self) -> Option<Page> {
         self.page(self.first).map(|(page, _)| page)
     }
 
-    /// All pages that can be read.
+    /// Reads all pages that can be read.
     pub fn pages(&mut self) -> Vec<Page> {
         let (mut pages, mut seen, mut next) = (Vec::new(), HashSet::new(), self.first);
         while next != 0 && seen.insert(next) && pages.len() < MOST_PAGES {
@@ -94,13 +94,13 @@ impl<R: Read + Seek> Tags<R> {
         pages
     }
 
-    /// A page that a tag leads to.
+    /// Reads the page at the offset in a tag.
     pub fn page_at(&mut self, entry: Entry) -> Option<Page> {
         let offset = self.value(entry)?;
         self.page(offset).map(|(page, _)| page)
     }
 
-    /// The page at an offset, and the offset of the next one.
+    /// Reads the page at an offset, and returns the offset of the next one too.
     fn page(&mut self, offset: u64) -> Option<(Page, u64)> {
         let (counted, length, field) = if self.wide { (8, 20, 8) } else { (2, 12, 4) };
         let count = self.number_at(offset, counted)?;
@@ -115,24 +115,24 @@ impl<R: Read + Seek> Tags<R> {
             at: begin + i * length + 4 + field as u64,
         };
         let page = Page(entries.map(entry).collect());
-        // Of the last page the offset may be missing.
+        // After the last page the offset may be missing.
         let next = self.number_at(begin + size, field).unwrap_or(0);
         Some((page, next))
     }
 
-    /// The first value of a tag that is a whole number.
+    /// Reads the first value of a tag of whole numbers.
     pub fn value(&mut self, entry: Entry) -> Option<u64> {
         self.values(entry)?.first().copied()
     }
 
-    /// The values of a tag that is whole numbers.
+    /// Reads the values of a tag of whole numbers.
     pub fn values(&mut self, entry: Entry) -> Option<Vec<u64>> {
         let size = size_of(entry.kind)?;
         let bytes = self.content(entry)?;
         Some(bytes.chunks_exact(size).map(|bytes| self.number(bytes)).collect())
     }
 
-    /// The bytes of a tag.
+    /// Reads the bytes of a tag.
     pub fn content(&mut self, entry: Entry) -> Option<Vec<u8>> {
         let field = if self.wide { 8 } else { 4 };
         let size = entry.count.checked_mul(size_of(entry.kind)? as u64);
@@ -141,7 +141,7 @@ impl<R: Read + Seek> Tags<R> {
         self.bytes(at, usize::try_from(size).ok()?)
     }
 
-    /// The bytes of a number as this file has them.
+    /// Returns the bytes of a number in the byte order of this file.
     pub fn encoded(&self, number: u16) -> [u8; 2] {
         if self.big_endian { number.to_be_bytes() } else { number.to_le_bytes() }
     }
@@ -167,12 +167,12 @@ impl<R: Read + Seek> Tags<R> {
     }
 }
 
-/// Numbers and kinds of tags have two bytes.
+/// Converts the number or the kind of a tag, which has two bytes.
 fn short(number: u64) -> u16 {
     u16::try_from(number).unwrap_or_default()
 }
 
-/// Bytes of a value of a kind: only whole numbers and bytes of no kind.
+/// Returns the size of a value of a kind, bytes; `None` unless the kind is a whole number or untyped bytes.
 fn size_of(kind: u16) -> Option<usize> {
     match kind {
         1 | 2 | 6 | 7 => Some(1),

@@ -1,4 +1,4 @@
-//! Files as cameras and the software around them write them, whole and cut off.
+//! Reading of files as written by cameras and other software, complete and cut off.
 
 use std::io::Cursor;
 use std::path::PathBuf;
@@ -38,7 +38,7 @@ fn file(name: &str, bytes: &[u8]) -> (TempDir, PathBuf) {
 fn read(bytes: &[u8]) -> Result<RawImage> {
     let (_folder, path) = file("image", bytes);
     let image = read_image(&path, None);
-    // What `init` makes of the header is what the image is.
+    // `init` uses the header alone, which has to agree with the image.
     if let Ok(image) = &image {
         let (width, height, color) = format_of(&path).unwrap();
         assert_eq!(
@@ -59,7 +59,7 @@ fn assert_refused(bytes: &[u8], words: &[&str]) {
     }
 }
 
-/// A TIFF file of samples as a type of the encoder has them.
+/// Encodes samples as a TIFF file with a type of the encoder.
 fn tiff_of<C: colortype::ColorType>(samples: &[C::Inner], big: bool) -> Vec<u8>
 where
     [C::Inner]: ::tiff::encoder::TiffValue,
@@ -75,7 +75,7 @@ where
     bytes.into_inner()
 }
 
-/// A TIFF file of one strip with these tags (number, kind, values), and the same page so many times.
+/// Creates a TIFF file of one strip with these tags (number, kind, values), with the same page `pages` times.
 fn tiff(tags: &[(u16, u16, Vec<u16>)], samples: &[u8], pages: usize) -> Vec<u8> {
     let mut bytes = b"II*\0".to_vec();
     let mut link = bytes.len();
@@ -119,7 +119,7 @@ fn tiff(tags: &[(u16, u16, Vec<u16>)], samples: &[u8], pages: usize) -> Vec<u8> 
     bytes
 }
 
-/// Tags of an image of so many bits, besides others.
+/// Returns the tags of an image with these numbers of bits, and further tags.
 fn described(bits: &[u16], more: &[(u16, Vec<u16>)]) -> Vec<(u16, u16, Vec<u16>)> {
     let channels = u16::try_from(bits.len()).unwrap();
     let mut tags = vec![
@@ -157,7 +157,7 @@ fn files_that_are_cut_off_are_refused_wherever_the_cut_is() {
     assert_refused(&[], &["is empty"]);
 }
 
-/// A JPEG file of noise, and the same after other software.
+/// Creates noise, whose JPEG file has long scans.
 fn noise() -> DynamicImage {
     let pixel = |x: u32, y: u32| {
         let of = |factor: u32| u8::try_from(x * y * factor % 251).unwrap();
@@ -177,7 +177,7 @@ fn a_jpeg_file_whose_samples_end_early_is_damaged() {
         }
     }
     let whole = encoded(&noise(), ImageFormat::Jpeg);
-    // A small version in an EXIF block has an end of its own.
+    // A thumbnail in an EXIF block has an end of image too.
     let mut nested = whole[..2].to_vec();
     let small = encoded(&grey(), ImageFormat::Jpeg);
     nested.extend([0xff, 0xe1]);
@@ -186,7 +186,7 @@ fn a_jpeg_file_whose_samples_end_early_is_damaged() {
     nested.extend(&whole[2..]);
     read(&nested).unwrap();
     assert_refused(&nested[..nested.len() / 2], &["is cut off"]);
-    // What follows the end of the image does no harm.
+    // Bytes after the end of the image are ignored.
     nested.extend([0; 100]);
     read(&nested).unwrap();
 }
@@ -222,7 +222,7 @@ fn numbers_that_are_no_grey_levels_are_refused_with_what_to_do() {
     assert_refused(&floats(&|s| if s < 1.0 { f32::NAN } else { 2000.0 }), &["NaN"]);
     let signed = tiff_of::<colortype::GrayI16>(&all(|i| i16::from(level(i)) - 1), false);
     assert_refused(&signed, &["down to -1"]);
-    // Noise about black is rounded like all else.
+    // Noise around black may be slightly negative; it is rounded too.
     assert!(read(&floats(&|s| 16.0 * s - 0.25)).is_ok());
 }
 
@@ -273,7 +273,7 @@ fn codes(name: &str, bytes: &[u8]) -> Vec<Issue> {
     image_findings(&[path]).into_iter().map(|finding| finding.issue).collect()
 }
 
-/// A PNG file with a chunk after its first one; the checksum is not looked at.
+/// Creates a PNG file with a chunk after its first one; the reader ignores the checksum.
 fn with_chunk(name: &[u8], content: &[u8]) -> Vec<u8> {
     const FIRST: usize = 8 + 12 + 13;
     let mut bytes = encoded(&grey(), ImageFormat::Png);
@@ -285,7 +285,7 @@ fn with_chunk(name: &[u8], content: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// An EXIF block with an orientation and a colour space.
+/// Creates an EXIF block with an orientation and a colour space.
 fn exif(orientation: u16, space: u16) -> Vec<u8> {
     let mut block = b"II*\0\x08\0\0\0".to_vec();
     let entry = |tag: u16, kind: u16, value: u32| {
@@ -301,7 +301,7 @@ fn exif(orientation: u16, space: u16) -> Vec<u8> {
     block
 }
 
-/// A profile with one curve of this gamma.
+/// Creates a profile with one curve of this gamma.
 fn profile(gamma: u16) -> Vec<u8> {
     let mut profile = vec![0; 128];
     profile.extend(1_u32.to_be_bytes());

@@ -1,7 +1,7 @@
-//! TIFF files: grey and RGB of any depth and kind of number, palettes, transparency, `BigTIFF`.
+//! TIFF files: grey and RGB with any depth and type of numbers, palettes, transparency, `BigTIFF`.
 //!
-//! Samples become grey levels of 8 or 16 bits as they are: nothing is scaled, since what black level and saturation are
-//! in the file would no longer be known. What does not fit is refused with what to do.
+//! Samples become grey levels of 8 or 16 bits without scaling, since scaling would change black level and saturation of the
+//! file. Samples that do not fit are refused, with a remedy.
 
 use std::io::Cursor;
 
@@ -13,30 +13,30 @@ use super::{Decoded, LIMIT_BYTES, cut_off, is_end_of_file, too_large, unreadable
 use crate::error::{Error, Result};
 use crate::image::{Color, Samples};
 
-/// `PhotometricInterpretation` of a palette, and of images where 0 is white or black.
+/// Values of `PhotometricInterpretation` for a palette, and for images in which 0 is white or black.
 const PALETTE: u64 = 3;
 const WHITE_IS_ZERO: u64 = 0;
 const BLACK_IS_ZERO: u16 = 1;
-/// `SampleFormat` of whole numbers without sign.
+/// Value of `SampleFormat` for whole numbers without sign.
 const UNSIGNED: u64 = 1;
 /// Bit of `NewSubfileType` for a smaller version of another page.
 pub const REDUCED: u64 = 1;
 /// Bit of `NewSubfileType` for a mask.
 pub const MASK: u64 = 4;
-/// The least that the largest of samples with fractions has to be: rounding to whole levels then changes none by more than
-/// half a thousandth of it.
+/// Least allowed maximum of samples with fractions: rounding to whole levels then changes no sample by more than half a
+/// thousandth of the maximum.
 const LEAST_WITH_FRACTIONS: f64 = 1023.0;
 const MOST: f64 = 65_535.0;
 
-/// What the tags say about the first page.
+/// Description of the first page in its tags.
 struct Described {
     width: u64,
     height: u64,
     bits: u64,
     photometric: Option<u64>,
-    /// Whether samples are whole numbers without sign.
+    /// True if samples are whole numbers without sign.
     unsigned: bool,
-    /// Channels beyond those of grey or RGB that are no transparency, or more than one.
+    /// Number of channels, if some of them are neither grey or RGB nor a single transparency.
     unknown_channels: Option<u64>,
     palette: Option<(Vec<u64>, u64)>,
     reduced: bool,
@@ -78,7 +78,7 @@ fn described(bytes: &[u8]) -> Option<(Described, [u8; 2])> {
     Some((described, black_is_zero))
 }
 
-/// Width, height and channels, from the tags.
+/// Returns width, height and channels, from the tags.
 pub fn format(tags: &mut Tags<impl std::io::Read + std::io::Seek>) -> Option<(u32, u32, Color)> {
     let page = tags.first()?;
     let mut one = |number: u16| page.entry(number).and_then(|entry| tags.value(entry));
@@ -93,7 +93,7 @@ pub fn format(tags: &mut Tags<impl std::io::Read + std::io::Seek>) -> Option<(u3
     Some((width, height, color))
 }
 
-/// Bytes of a sample once it is read.
+/// Returns the size of a sample in memory, bytes.
 pub fn sample_bytes(tags: &mut Tags<impl std::io::Read + std::io::Seek>) -> u64 {
     let page = tags.first();
     let bits = page.and_then(|page| page.entry(tag::BITS).and_then(|entry| tags.value(entry)));
@@ -109,13 +109,13 @@ fn palette_of(
     page.entry(tag::COLOR_MAP).and_then(|entry| tags.values(entry))
 }
 
-/// Whether red, green and blue of a palette are the same.
+/// Returns true if red, green and blue of a palette are equal.
 fn is_grey(map: &[u64]) -> bool {
     let n = map.len() / 3;
     map[..n] == map[n..2 * n] && map[..n] == map[2 * n..3 * n]
 }
 
-/// Decodes the first page; `None` if its colours are others than grey and RGB.
+/// Decodes the first page; `None` if its colours are neither grey nor RGB.
 pub fn decode(bytes: &[u8]) -> Result<Option<Decoded>> {
     let (of_page, black_is_zero) = described(bytes).ok_or_else(|| cut_off("TIFF"))?;
     if of_page.reduced {
@@ -135,7 +135,7 @@ pub fn decode(bytes: &[u8]) -> Result<Option<Decoded>> {
     };
     let mut bytes = std::borrow::Cow::Borrowed(bytes);
     if let Some((_, at)) = &of_page.palette {
-        // The decoder knows no palettes: it takes the numbers of the colours for grey levels.
+        // The decoder has no palettes; with this tag it returns the numbers of the colours as grey levels.
         let place = usize::try_from(*at).ok().and_then(|at| bytes.to_mut().get_mut(at..at + 2));
         place.ok_or_else(|| cut_off("TIFF"))?.copy_from_slice(&black_is_zero);
     }
@@ -189,23 +189,23 @@ fn limits() -> Limits {
     limits
 }
 
-/// How the channels of pixels lie.
+/// Layout of the channels of pixels.
 struct Channels {
     pixels: usize,
     channels: usize,
-    /// The first of them are kept.
+    /// Number of the first channels that are kept.
     kept: usize,
-    /// Whether each channel is an image of its own.
+    /// True if each channel is stored as a separate image.
     planar: bool,
 }
 
 impl Channels {
-    /// Samples beside each other for each pixel.
+    /// Returns the number of adjacent samples per pixel.
     fn in_row(&self) -> usize {
         if self.planar { 1 } else { self.channels }
     }
 
-    /// The samples of the channels that are kept, pixel by pixel.
+    /// Returns the samples of the kept channels, pixel by pixel.
     fn of<T: Copy>(&self, samples: &[T]) -> Vec<T> {
         let Self { pixels, channels, kept, planar } = *self;
         if channels == kept && !planar {
@@ -218,13 +218,13 @@ impl Channels {
         kept.filter_map(|i| samples.get(i).copied()).collect()
     }
 
-    /// Whole numbers of other types, and fractions.
+    /// Converts samples of other types to numbers.
     fn numbers<T: Copy>(&self, samples: &[T], number: impl Fn(T) -> f64) -> Vec<f64> {
         self.of(samples).into_iter().map(number).collect()
     }
 }
 
-/// Samples of 1, 2 or 4 bits of rows that begin with a byte.
+/// Unpacks samples of 1, 2 or 4 bits; each row begins with a new byte.
 fn unpacked(packed: &[u8], in_row: usize, bits: u64) -> Vec<u8> {
     let (per_byte, mask) = (8 / bits, 0xff >> (8 - bits));
     let row_bytes = (in_row as u64).div_ceil(per_byte);
@@ -238,7 +238,7 @@ fn unpacked(packed: &[u8], in_row: usize, bits: u64) -> Vec<u8> {
     packed.chunks(usize::try_from(row_bytes).unwrap_or(1).max(1)).flat_map(row).collect()
 }
 
-/// Samples of few bits on the scale of 8, as PNG has it; numbers of colours stay.
+/// Scales samples of few bits to 8 bits, as in PNG; numbers of colours are not scaled.
 fn stretched(mut levels: Vec<u8>, bits: u64, is_palette: bool) -> Vec<u8> {
     let most = u8::try_from((1_u64 << bits) - 1).unwrap_or(u8::MAX).max(1);
     if !is_palette {
@@ -249,7 +249,7 @@ fn stretched(mut levels: Vec<u8>, bits: u64, is_palette: bool) -> Vec<u8> {
     levels
 }
 
-/// Grey levels of 8 or 16 bits.
+/// Converts samples to grey levels of 8 or 16 bits.
 fn levels(buffer: DecodingResult, channels: &Channels) -> Result<Samples> {
     let whole = |numbers: Vec<f64>| as_levels(&numbers, "whole numbers", false);
     let fractions = |numbers: Vec<f64>| as_levels(&numbers, "floating-point numbers", true);
@@ -276,8 +276,8 @@ fn levels(buffer: DecodingResult, channels: &Channels) -> Result<Samples> {
     }
 }
 
-/// Numbers of a type that is not that of a camera as grey levels: themselves, rounded to whole levels. An error says what
-/// to do with those that no camera delivers.
+/// Converts numbers of a type that cameras do not use to grey levels, by rounding to whole levels. An error states the remedy
+/// for numbers that no camera delivers.
 fn as_levels(numbers: &[f64], kind: &str, rounded: bool) -> Result<Samples> {
     let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
     for &number in numbers {
@@ -311,10 +311,10 @@ fn as_levels(numbers: &[f64], kind: &str, rounded: bool) -> Result<Samples> {
     Ok(Samples::Bits16(numbers.iter().map(|number| number.round() as u16).collect()))
 }
 
-/// The colours of a palette in place of their numbers; grey where all of its colours are.
+/// Replaces the numbers of colours by the colours of a palette; grey if all colours of the palette are.
 fn colored(numbers: &Decoded, map: &[u64]) -> Result<Decoded> {
     let colors = map.len() / 3;
-    // Of 8 bits, in the upper byte alone or in both, or else of 16 bits.
+    // Colours have 8 bits if they use the upper byte alone or the same value in both bytes; otherwise 16 bits.
     let eight = map.iter().all(|level| level % 256 == 0)
         || map.iter().all(|level| level % 256 == level / 256);
     let color = if is_grey(map) { Color::Grey } else { Color::Rgb };

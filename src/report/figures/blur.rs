@@ -1,4 +1,4 @@
-//! Measured blur against predicted.
+//! Measured against predicted blur radii.
 
 use nalgebra::Vector2;
 
@@ -8,20 +8,20 @@ use crate::calibration::Calibration;
 use crate::numerics::weighted_mean;
 use crate::quantity::Estimate;
 
-/// Blur radii with as many features are one dot.
+/// Number of dots per lens type, each with the same number of features.
 const DOTS: usize = 24;
-/// Fewest features of a dot.
+/// Fewest features per dot.
 const FEWEST: usize = 8;
 
 /// The features of one lens type with about the same blur.
 struct Dot {
-    /// Predicted blur radius with openings as wide as the pitch, ρ, px.
+    /// Predicted blur radius ρ, with openings as wide as the pitch, px.
     predicted_px: f64,
-    /// Measured blur radius, with σ by the scatter of the features, px.
+    /// Measured blur radius, with σ from the scatter of the features, px.
     measured_px: Estimate,
 }
 
-/// Measured blur radii over ρ by lens type; `None` without measured blur.
+/// Draws measured blur radii over ρ, by lens type; `None` without measured blur.
 pub(super) fn measured_blur(calibration: &Calibration) -> Option<Figure> {
     let blur = calibration.blur.as_ref()?;
     let of_types: Vec<Vec<Dot>> =
@@ -63,7 +63,7 @@ fn dots(calibration: &Calibration, lens_type: usize) -> Vec<Dot> {
         .collect();
     all.sort_by(|a, b| a.0.total_cmp(&b.0));
     let dot = |some: &[(f64, Estimate)]| {
-        // Single features may show something else.
+        // Single features may measure something else.
         let mut off: Vec<f64> = some.iter().map(|(rho, blur)| blur.value - rho).collect();
         let middle = quantile(&mut off, 0.5)?;
         let mut far: Vec<f64> = off.iter().map(|x| (x - middle).abs()).collect();
@@ -88,7 +88,7 @@ fn panel(
     let x = Axis::new("ρ, px", [left, right]).with_grid();
     let y = Axis::new("measured blur radius, px", [bottom, top]).with_grid();
     let plane = drawing.axes(chart, &x, &y);
-    // Only where the line is within the chart.
+    // The line is limited to the chart.
     let line = |slope: f64| {
         let within = |x: f64| (x * slope).clamp(bottom, top) / slope;
         [within(left), within(right)].map(|x| plane.place(x, x * slope))

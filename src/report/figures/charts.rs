@@ -7,7 +7,7 @@ use super::super::tree::Figure;
 use crate::calibration::Calibration;
 use crate::model::Rmse;
 
-/// Height of a name under a bar, px.
+/// Width of the name under a bar, px.
 const NAME: f64 = 26.0;
 
 struct Bars<'a> {
@@ -79,7 +79,7 @@ fn bars(area: &Area, bars: &Bars, all: &Rmse, largest: f64, drawing: &mut Drawin
             let left = i as f64 + 0.12 + side as f64 * width;
             let corner = plane.place(left, value);
             let size = Vector2::new(width, value).component_mul(&plane.scale).abs();
-            // A bar of 0 is visible too.
+            // A bar of 0 must be visible too.
             drawing.rectangle(corner, size.sup(&Vector2::new(1.0, 0.8)), color, 1.0);
         }
     }
@@ -96,7 +96,7 @@ fn bars(area: &Area, bars: &Bars, all: &Rmse, largest: f64, drawing: &mut Drawin
     }
 }
 
-/// Costs that exceed the lowest by less than this fraction of it count as the lowest.
+/// Relative excess of a cost over the lowest cost, below which it counts as the lowest.
 const AT_LOWEST: f64 = 1e-15;
 
 pub(super) fn convergence(calibration: &Calibration) -> Option<Figure> {

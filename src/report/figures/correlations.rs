@@ -7,9 +7,9 @@ use super::super::tree::Figure;
 use crate::calibration::Calibration;
 use crate::model::Parameter;
 
-/// Correlations beyond this are labelled with their value.
+/// Correlation above which a cell is labelled with its value.
 const STRONG: f64 = 0.9;
-/// Edge of a cell, px, and room at the upper left for names.
+/// Edge of a cell, px, and margin at the upper left for names.
 const CELL: f64 = 40.0;
 const NAMES: f64 = 86.0;
 
@@ -78,7 +78,7 @@ fn grid(count: usize, drawing: &mut Drawing) {
     }
 }
 
-/// The colour scale.
+/// Draws the colour scale.
 fn scale(left: f64, drawing: &mut Drawing) {
     const STEPS: u32 = 20;
     const STEP: f64 = 6.0;

@@ -9,12 +9,12 @@ use crate::error::Result;
 use crate::model::PlenopticCamera;
 use crate::solver::distortion_mm;
 
-/// Number of samples along the longer side: of the colours, and of the arrows.
+/// Number of samples along the longer side: for the colours, and for the arrows.
 const CELLS: f64 = 120.0;
 const ARROWS: f64 = 18.0;
-/// Number of colour bands: this many, or up to 2.5 times as many.
+/// Least number of colour bands. There may be up to 2.5 times as many.
 const BANDS: f64 = 5.0;
-/// Opacity of the largest distortion; arrows stay visible on it on any page.
+/// Opacity of the largest distortion. Arrows must be visible on it on any page.
 const MOST_OPAQUE: f64 = 0.6;
 const SCALE_WIDTH: f64 = 74.0;
 
@@ -53,7 +53,7 @@ pub(super) fn distortion(camera: &PlenopticCamera) -> Result<Option<Figure>> {
     Ok(Some(drawing.figure("distortion", caption)))
 }
 
-/// Positions in the image, and how far distortion moves them, px.
+/// Returns positions in the image, and their shifts due to distortion, px.
 fn shifts_px(
     camera: &PlenopticCamera,
     places: Vec<Vector2<f64>>,
@@ -66,7 +66,7 @@ fn shifts_px(
     Ok(places.into_iter().zip(shifts).map(move |(at, shift)| (at, -shift / pixel_size)))
 }
 
-/// Centres of square cells, row by row; `along` is their number along the longer side.
+/// Returns the centres of square cells, row by row; `along` is their number along the longer side.
 fn places(image_px: Vector2<f64>, along: f64) -> Vec<Vec<Vector2<f64>>> {
     let cell = image_px.max() / along;
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a small number
@@ -126,7 +126,7 @@ impl Bands {
         }
     }
 
-    /// The colour scale.
+    /// Draws the colour scale.
     fn draw_scale(&self, plane: &Plane, image_px: Vector2<f64>, drawing: &mut Drawing) {
         let size = Vector2::new(16.0, 22.0);
         let top = plane.place(image_px.x - 0.5, -0.5) + Vector2::new(18.0, 10.0);

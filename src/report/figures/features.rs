@@ -12,10 +12,10 @@ use crate::model::Board;
 
 /// Largest width of the picture under the features, px.
 const PICTURE: usize = 1400;
-/// Its JPEG quality, up to 100.
+/// JPEG quality of the picture, up to 100.
 const QUALITY: u8 = 60;
 
-/// A frame with its features as blur circles, coloured by corner, and the grid of the board.
+/// Draws a frame with its features as blur circles, coloured by corner, and the grid of the board.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // pixels
 pub fn features_figure(image: &RawImage, detection: &Detection, board: &Board) -> Result<String> {
     let (width, height) = (image.width, image.height);

@@ -1,4 +1,4 @@
-//! Residuals as histograms with the normal curve that they should follow.
+//! Histograms of residuals with the normal curve that they should follow.
 
 use nalgebra::Vector2;
 
@@ -9,9 +9,9 @@ use crate::quantity::{fixed, significant};
 use crate::solver::LossKind;
 
 const BINS: usize = 40;
-/// Residuals beyond this many standard deviations are counted, not drawn.
+/// Least half range of a histogram, in standard deviations. Residuals outside the range are counted, not drawn.
 const SHOWN_STD_DEVS: f64 = 4.5;
-/// The narrowest range shown, px.
+/// Narrowest half range, px.
 const NARROWEST: f64 = 1e-9;
 const CURVE_POINTS: u32 = 120;
 
@@ -25,7 +25,7 @@ pub(super) fn residual_histograms(calibration: &Calibration) -> Option<Figure> {
     let (features, centers) =
         (&calibration.reprojection.features, &calibration.reprojection.centers);
     let [uv, rho, of_centers] = calibration.uncertainty.residual_std_dev_px;
-    // Not measured where ρ does not count.
+    // The standard deviation is not measured if ρ does not count.
     let rms = calibration.reprojection.rmse().rho_px.unwrap_or(f64::NAN);
     let rho = if rho.is_nan() { rms } else { rho };
     let panel = |name, values: Vec<f64>, std_dev| Panel {
@@ -113,7 +113,7 @@ fn histogram(chart: &Area, panel: &Panel, drawing: &mut Drawing) {
     drawing.title(chart, &title);
 }
 
-/// A standard deviation in px with its significant digits.
+/// Formats a standard deviation in px with its significant digits.
 fn short(value: f64) -> String {
     if value >= 1e-3 { fixed(value, 4) } else { significant(value, 2) }
 }

@@ -23,10 +23,10 @@ use crate::calibration::Calibration;
 use crate::error::Result;
 use crate::model::Board;
 
-/// File names of the figures that stand beside a result: the scene, and σ in space.
+/// File names of the figures that are shown beside a result: the scene, and σ in space.
 pub const OF_RESULT: [&str; 2] = ["scene.svg", "object-space.svg"];
 
-/// All figures of a calibration. Those with nothing to show are left out: residuals of centres if
+/// Draws all figures of a calibration. Figures with nothing to show are left out: residuals of centres if
 /// there are no centres, correlations if the camera is fixed, and so on.
 pub fn calibration_figures(
     calibration: &Calibration,

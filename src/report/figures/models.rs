@@ -11,14 +11,14 @@ use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
 use crate::model::{FeatureResidual, PlenopticCamera};
 
-/// Rings around the axis.
+/// Number of rings around the axis.
 const RINGS: usize = 12;
-/// A ring with fewer corners says nothing about its mean.
+/// Fewest corners of a ring whose mean is used.
 const MIN_CORNERS: usize = 5;
-/// A parallax needs so many micro-images.
+/// Fewest micro-images for a parallax.
 const MIN_MICRO_IMAGES: usize = 3;
 
-/// Residual patterns with and without each group, two figures for each, in the order of the comparison.
+/// Draws residual patterns with and without each group, two figures for each, in the order of the comparison.
 #[must_use]
 pub fn model_figures(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Vec<Figure>> {
     let of_group =
@@ -46,13 +46,13 @@ fn arrows(calibration: &Calibration, without: &WithoutGroup) -> Figure {
     drawing.figure(&name(without, "residuals"), caption)
 }
 
-/// What the micro-images that show a corner have in common, and where it is.
+/// The mean residual and the parallax of the micro-images that show a corner, with its position.
 struct Corner {
-    /// Its distance from the axis, px.
+    /// Distance of the corner from the axis, px.
     radius_px: f64,
-    /// The mean residual away from the axis, px.
+    /// Mean residual away from the axis, px.
     outward_px: f64,
-    /// By what fraction its places in the micro-images lie too far apart; `None` with too few of them.
+    /// Relative excess of the distances between its images; `None` with too few micro-images.
     parallax: Option<f64>,
 }
 
@@ -80,7 +80,7 @@ fn corners(camera: &PlenopticCamera, residuals: &[FeatureResidual]) -> Vec<Corne
     by_corner.into_values().map(corner).collect()
 }
 
-/// Mean and its standard error in a ring, at its middle.
+/// Mean and standard error in a ring, at the middle of the ring.
 struct Ring {
     radius_px: f64,
     mean: f64,

@@ -1,4 +1,4 @@
-//! σ of reconstructed points over field and distance.
+//! The σ of reconstructed points over field and distance.
 
 use nalgebra::Vector2;
 
@@ -7,17 +7,17 @@ use super::super::tree::Figure;
 use crate::assessment::{Distance, ObjectSpace, PointTrust};
 use crate::quantity::two_digits;
 
-/// A cell, px, and the room beside and above the cells of a panel.
+/// Size of a cell, px, and margins beside and above the cells of a panel.
 const CELL: Vector2<f64> = Vector2::new(52.0, 30.0);
 const LEFT: f64 = 74.0;
 const TOP: f64 = 52.0;
 const GAP: f64 = 44.0;
-/// Below this, mm, the numbers are in µm.
+/// Largest σ, mm, below which the numbers are in µm.
 const IN_MICROMETRES: f64 = 0.2;
-/// The lightest and the darkest cell.
+/// Opacities of the lightest and the darkest cell.
 const OPACITY: (f64, f64) = (0.06, 0.75);
 
-/// Two maps: σ across the axis and along it, for points seen along the middle row of the image.
+/// Draws two maps: σ across the axis and along it, for points seen along the middle row of the image.
 pub(super) fn object_space(space: &ObjectSpace) -> Option<Figure> {
     let rows: Vec<(&Distance, Vec<&PointTrust>)> =
         space.distances.iter().rev().map(|d| (d, middle_row(d))).collect();
@@ -46,7 +46,7 @@ pub(super) fn object_space(space: &ObjectSpace) -> Option<Figure> {
     Some(drawing.figure("object-space", caption))
 }
 
-/// The points nearest to the middle of the image along v.
+/// Returns the points nearest to the middle of the image along v.
 fn middle_row(distance: &Distance) -> Vec<&PointTrust> {
     let mut rows: Vec<f64> = distance.points.iter().map(|p| p.pixel_px[1]).collect();
     rows.sort_by(f64::total_cmp);

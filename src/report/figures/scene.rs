@@ -9,22 +9,22 @@ use super::super::tree::Figure;
 use crate::calibration::Calibration;
 use crate::model::{Board, PlenopticCamera};
 
-/// Viewing direction: angle from the side towards the back of the camera, and from above, rad.
+/// Viewing direction, rad: angle from the side towards the back of the camera, and angle from above.
 const TURNED: f64 = 0.55;
 const RAISED: f64 = 0.38;
 /// Width of the picture, largest height of its content, and margin, px.
 const WIDTH: f64 = 900.0;
 const MOST_HEIGHT: f64 = 470.0;
 const MARGIN: Vector2<f64> = Vector2::new(72.0, 44.0);
-/// Room above for the numbers of the frames, and the width of one number, px.
+/// Margin above for the numbers of the frames, and width of one number, px.
 const NUMBERS: f64 = 62.0;
 const NUMBER: f64 = 27.0;
-/// Segments of a circle.
+/// Number of segments of a circle.
 const CIRCLE: u32 = 48;
 const BOARD_COLORS: [Color; 6] =
     [BLUE, ORANGE, TYPE_COLORS[1], FITTED, TYPE_COLORS[0], TYPE_COLORS[2]];
 
-/// Parallel projection onto the page, mm to px.
+/// A parallel projection onto the page, from mm to px.
 struct View {
     right: Vector3<f64>,
     down: Vector3<f64>,
@@ -34,7 +34,8 @@ struct View {
 }
 
 impl View {
-    /// Shows all points. The scene has z to the right, x towards the reader and y down.
+    /// Creates the view that shows all points, and the height of the picture, px. The scene has z to the right, x towards the
+    /// reader and y down.
     fn of(points: &[Point3<f64>]) -> (Self, f64) {
         let (turned, raised) = (TURNED.sin_cos(), RAISED.sin_cos());
         let into = Vector3::new(-raised.1 * turned.1, raised.0, raised.1 * turned.0);
@@ -104,7 +105,7 @@ pub(super) fn scene(calibration: &Calibration, board: &Board) -> Option<Figure> 
     Some(drawing.figure("scene", caption))
 }
 
-/// The outline of a board: its inner corners and one square around them, from the first corner.
+/// Returns the outline of a board: its inner corners and one square around them, from the first corner.
 fn outline(board: &Board, camera_from_board: &Isometry3<f64>) -> [Point3<f64>; 4] {
     let (right, below) = (f64::from(board.columns), f64::from(board.rows));
     [(-1.0, -1.0), (right, -1.0), (right, below), (-1.0, below)].map(|(column, row)| {
@@ -122,7 +123,7 @@ fn sensor_outline(camera: &PlenopticCamera) -> [Point3<f64>; 4] {
     })
 }
 
-/// The pupil if it is known, else a circle that stands for the lens.
+/// Returns the outline of the main lens with its f-number, or f/2.8 if it is not known.
 fn lens_outline(camera: &PlenopticCamera) -> Vec<Point3<f64>> {
     let lens = &camera.main_lens;
     let f_number = lens.setting.map_or(2.8, |setting| setting.f_number);
@@ -152,7 +153,7 @@ fn draw_camera(sensor: &[Point3<f64>], lens: &[Point3<f64>], view: &View, drawin
         Vector2::new(middle, top)
     };
     let (sensor, lens) = (above(sensor), above(lens));
-    // Side by side if there is room, else one above the other.
+    // The words are side by side if there is room, else one above the other.
     let apart = (lens.x - sensor.x).abs() > 90.0;
     let line = sensor.y.min(lens.y) - 14.0;
     let sensor_word = Vector2::new(sensor.x, if apart { sensor.y - 14.0 } else { line });
@@ -168,8 +169,7 @@ fn field_of_view(sensor: &[Point3<f64>], furthest: f64, view: &View, drawing: &m
     }
 }
 
-/// Numbers of the frames in a row above, each joined to its board by a line, so that none hides
-/// another.
+/// Draws the numbers of the frames in a row at the top, so that none hides another, each joined to its board by a line.
 fn numbers(boards: &[(u32, [Point3<f64>; 4])], view: &View, drawing: &mut Drawing) {
     let mut tops: Vec<(usize, Vector2<f64>)> = boards
         .iter()
@@ -185,7 +185,7 @@ fn numbers(boards: &[(u32, [Point3<f64>; 4])], view: &View, drawing: &mut Drawin
     let most = ((WIDTH - 2.0 * NUMBER) / NUMBER) as usize;
     let every = tops.len().div_ceil(most).max(1);
     let shown: Vec<_> = tops.into_iter().step_by(every).collect();
-    // At least a number's width apart from the left, then the same from the right.
+    // The distances are at least a number's width from the left, then from the right.
     let mut places: Vec<f64> = Vec::new();
     for (_, top) in &shown {
         places.push(places.last().map_or(NUMBER, |last| last + NUMBER).max(top.x));
@@ -222,7 +222,7 @@ impl Box3 {
         (0..8).map(move |i| Point3::new(ends[i & 1].x, ends[(i >> 1) & 1].y, ends[(i >> 2) & 1].z))
     }
 
-    /// Draws the floor and the wall behind with their ticks.
+    /// Draws the floor and the rear wall with their ticks.
     fn draw(&self, view: &View, drawing: &mut Drawing) {
         let (low, high, apart) = (self.low, self.high, TICK / view.scale);
         let floor = |x: f64, z: f64| Point3::new(x, high.y, z);

@@ -14,21 +14,21 @@ use crate::calibration::Calibration;
 use crate::model::{FeatureResidual, Sensor};
 use crate::precalibration::ArrayMeasurement;
 
-/// More arrows than this would hide each other, so their means over cells are drawn.
+/// Largest number of arrows. More would hide each other, so their means over cells are drawn.
 const MOST_ARROWS: usize = 3000;
-/// Cells along the longer side of the sensor.
+/// Number of cells along the longer side of the sensor.
 const CELLS: f64 = 28.0;
-/// The mean of a cell with less than this fraction of the usual number is mostly noise.
+/// Fewest arrows of a cell, as a fraction of the usual number. The mean of fewer is mostly noise.
 const FEWEST: f64 = 0.25;
-/// Arrows smaller than rounding errors are not enlarged.
+/// Largest enlargement. Arrows smaller than rounding errors are not enlarged.
 const MOST_ENLARGED: f64 = 1e6;
-/// Largest width and height of the sensor in a picture, and the smallest, px.
+/// Largest width and height of the sensor in a picture, and their lower limit, px.
 const LARGEST: (f64, f64) = (820.0, 640.0);
 const SMALLEST: f64 = 120.0;
-/// The largest, where two are side by side, and how much wider their cells are.
+/// Largest width and height of two pictures side by side, px, and the ratio of their cells to the usual ones.
 const HALF: (f64, f64) = (430.0, 430.0);
 const WIDER: f64 = 1.4;
-/// Greatest length of the arrow in the key, px.
+/// Largest length of the arrow in the key, px.
 const KEY: f64 = 90.0;
 
 /// A vector and its position, px of the sensor.
@@ -38,8 +38,8 @@ pub(super) struct Arrow {
     pub lens_type: usize,
 }
 
-/// The page for a picture of an image of `image_px` px, with equal scales along u and v. `scale_width` px are left free on
-/// the right.
+/// Creates the page for a picture of an image of `image_px` px, with equal scales along u and v. `scale_width` px are left
+/// free on the right.
 pub(super) fn sensor_picture(
     image_px: Vector2<f64>,
     scale_width: f64,
@@ -51,7 +51,7 @@ pub(super) fn sensor_picture(
     (drawing, plane)
 }
 
-/// Size of a picture of the sensor with the room around it, px.
+/// Returns the size of a picture of the sensor with its margins, px.
 fn with_room(image_px: Vector2<f64>, largest: (f64, f64)) -> Vector2<f64> {
     let [left, top, right, below] = ROOM;
     let scale = (largest.0 / image_px.x).min(largest.1 / image_px.y);
@@ -62,13 +62,14 @@ fn with_room(image_px: Vector2<f64>, largest: (f64, f64)) -> Vector2<f64> {
 fn sensor_axes(drawing: &mut Drawing, area: &Area, image_px: Vector2<f64>, title: &str) -> Plane {
     let chart = area.within_axes();
     drawing.title(&chart, title);
-    // The outer edges of the pixels; v grows downwards.
+    // The axes end at the outer edges of the pixels; v grows downwards.
     let far = image_px - Vector2::repeat(0.5);
     let (u, v) = (Axis::new("u, px", [-0.5, far.x]), Axis::new("v, px", [far.y, -0.5]));
     drawing.axes(&chart, &u, &v)
 }
 
-/// Mean residuals of features over cells, of two cameras side by side and equally enlarged; and how.
+/// Draws mean residuals of features over cells, for two cameras side by side and equally enlarged; returns cells and
+/// enlargement for the caption.
 pub(super) fn means_side_by_side(
     sensor: &Sensor,
     residuals: [&[FeatureResidual]; 2],
@@ -90,7 +91,7 @@ pub(super) fn means_side_by_side(
     (drawing, format!("means over cells of {cell} px, {}", enlarged(factor)))
 }
 
-/// The factor by which arrows are enlarged so that few are longer than `longest_px`.
+/// Returns the factor by which arrows are enlarged so that few are longer than `longest_px`.
 pub(super) fn enlargement(arrows: &[Arrow], longest_px: f64) -> f64 {
     let mut lengths: Vec<f64> = arrows.iter().map(|a| a.along.norm()).collect();
     let long = quantile(&mut lengths, 0.95).unwrap_or(0.0);
@@ -108,7 +109,7 @@ pub(super) fn enlarged(factor: f64) -> String {
     }
 }
 
-/// The key: an arrow of known length at the upper right.
+/// Draws the key: an arrow of known length at the upper right.
 pub(super) fn key(plane: &Plane, image_px: Vector2<f64>, factor: f64, drawing: &mut Drawing) {
     let scale = plane.scale.x * factor;
     let length = round_below(KEY / scale);
@@ -133,7 +134,7 @@ pub(super) fn draw_arrows(
     drawing.arrows(&drawn, color, 1.0);
 }
 
-/// Means over square cells, and the fewest arrows that a cell needs.
+/// Returns means over square cells, and the fewest arrows that a cell needs.
 fn cell_means(arrows: &[Arrow], cell_px: f64) -> (Vec<Arrow>, usize) {
     let mut cells: BTreeMap<(i64, i64), Vec<&Arrow>> = BTreeMap::new();
     for arrow in arrows {
@@ -162,7 +163,7 @@ fn cell_of(image_px: Vector2<f64>) -> f64 {
     (image_px.max() / CELLS).ceil()
 }
 
-/// The picture of mean arrows, with the cell and the enlargement for its caption.
+/// Draws mean arrows; returns cells and enlargement for the caption.
 fn means_picture(arrows: &[Arrow], image_px: Vector2<f64>, title: &str) -> (Drawing, String) {
     let cell = cell_of(image_px);
     let (means, fewest) = cell_means(arrows, cell);
@@ -218,7 +219,7 @@ pub(super) fn residual_vectors(calibration: &Calibration) -> Option<Figure> {
     Some(drawing.figure("residual-vectors", caption))
 }
 
-/// Shifts of pixels over the sensor.
+/// Draws shifts of pixels over the sensor.
 fn shifts(shifts: &[(Vector2<f64>, Vector2<f64>)], sensor: &Sensor, title: &str) -> Drawing {
     let arrows: Vec<Arrow> = shifts
         .iter()
@@ -234,11 +235,11 @@ fn shifts(shifts: &[(Vector2<f64>, Vector2<f64>)], sensor: &Sensor, title: &str)
     drawing
 }
 
-/// How far apart two cameras see a point at each distance: shifts over the sensor.
+/// Draws the shifts between two cameras over the sensor, for each distance.
 #[must_use]
 pub fn comparison_figures(comparison: &CameraComparison, sensor: &Sensor) -> Vec<Figure> {
     let of = |d: &DistanceDifference| {
-        // To the micrometre, without zeros at its end: distances apart have names apart.
+        // The name is exact to the micrometre, without zeros at its end, so that the names of distances differ.
         let at_mm = (1e3 * d.at_mm).round() / 1e3;
         let title = format!("Second camera minus first at {at_mm} mm");
         let caption =
@@ -293,7 +294,7 @@ pub(super) fn center_residuals(calibration: &Calibration) -> Option<Figure> {
     Some(drawing.figure("center-residuals", caption))
 }
 
-/// Measured centres of a white image minus the grid fitted to them.
+/// Draws measured centres of a white image minus the fitted grid.
 #[must_use]
 pub fn array_residuals_figure(array: &ArrayMeasurement) -> Figure {
     let arrows: Vec<Arrow> = array
@@ -305,7 +306,7 @@ pub fn array_residuals_figure(array: &ArrayMeasurement) -> Figure {
         })
         .filter(finite)
         .collect();
-    // The image ends roughly where the micro-images do.
+    // The image ends roughly at the outermost micro-images.
     let margin = Vector2::repeat(array.grid.pitch_px / 2.0);
     let image_px = arrows.iter().fold(2.0 * margin, |far, a| far.sup(&(a.at + margin)));
     let (drawing, how) =

@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::image::RawImage;
 use crate::precalibration::{ArrayMeasurement, Precalibration, RadiusMeasurement};
 
-/// All figures of a pre-calibration; `image` is the white image at the middle f-number.
+/// Draws all figures of a pre-calibration; `image` is the white image at the middle f-number.
 pub fn precalibration_figures(result: &Precalibration, image: &RawImage) -> Result<Vec<Figure>> {
     let radii_px = result.radii_px(result.images.len() / 2);
     Ok(vec![
@@ -22,7 +22,7 @@ pub fn precalibration_figures(result: &Precalibration, image: &RawImage) -> Resu
     ])
 }
 
-/// Radii of micro-images as in the paper's figure: over 1/N with the fitted lines, and a histogram
+/// Draws radii of micro-images as in the paper's figure: over 1/N with the fitted lines, and a histogram
 /// for each type at the middle f-number.
 #[must_use]
 pub fn radii_figure(result: &Precalibration) -> Figure {
@@ -50,7 +50,7 @@ fn lines(chart: &Area, result: &Precalibration, drawing: &mut Drawing) {
     drawing.title(chart, "Radii of micro-images");
     for (lens_type, color) in TYPE_COLORS.into_iter().enumerate().take(result.lens_types.types) {
         let of_type = || radii.iter().filter(move |r| r.lens_type == lens_type);
-        // Two points of the fitted line: each is the measured value minus its residual.
+        // A point of the fitted line is the measured value minus its residual.
         let mut fitted: Vec<(f64, f64)> =
             of_type().map(|r| (1.0 / r.f_number, r.radius_px - r.residual_px)).collect();
         fitted.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -66,7 +66,7 @@ fn lines(chart: &Area, result: &Precalibration, drawing: &mut Drawing) {
     drawing.type_legend(at, result.lens_types.types);
 }
 
-/// Bins of a histogram.
+/// Number of bins of a histogram.
 const BINS: u32 = 20;
 
 fn histogram(chart: &Area, result: &Precalibration, lens_type: usize, drawing: &mut Drawing) {
@@ -109,7 +109,7 @@ fn histogram(chart: &Area, result: &Precalibration, lens_type: usize, drawing: &
 const CROP: (usize, usize) = (200, 150);
 const ENLARGED: usize = 4;
 
-/// The middle of a white image with a circle about every micro-image, coloured by type; `radii_px` by
+/// Draws the middle of a white image with a circle about every micro-image, coloured by type. `radii_px` has one radius per
 /// type.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a small picture of 8 bits
 pub fn micro_images_figure(

@@ -1,4 +1,4 @@
-//! Points and rays against the forward model.
+//! Comparison of points and rays with the forward model.
 
 #![allow(clippy::cast_sign_loss, clippy::ref_option)] // indices; options as they are given
 
@@ -14,7 +14,7 @@ use crate::solver::{
 const BOARD: Board = Board { columns: 6, rows: 4, square_mm: 3.0 };
 const NEAR_MM: f64 = 1e-7;
 
-/// A simulated camera, corners of a tilted board, and all their sightings, without noise.
+/// Creates a simulated camera, corners of a tilted board, and all their sightings, without noise.
 fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<SeenPoint>) {
     let camera = small_camera();
     let pose = Isometry3::new(Vector3::new(-8.0, -5.0, 90.0), Vector3::new(0.3, -0.4, 0.1));
@@ -34,7 +34,7 @@ fn scene() -> (PlenopticCamera, Vec<Point3<f64>>, Vec<SeenPoint>) {
     (camera, corners.iter().map(|corner| pose * corner).collect(), sightings)
 }
 
-/// A false sighting hardly moves a corner, and σ follows the scatter: without noise it is nearly 0.
+/// An outlier hardly moves a corner, and σ follows the scatter: without noise it is nearly 0.
 #[test]
 fn false_sightings_are_withstood_and_scatter_scales_sigma() {
     let (camera, points, mut seen) = scene();
@@ -54,7 +54,7 @@ fn false_sightings_are_withstood_and_scatter_scales_sigma() {
     assert!(found.scatter > 1e-6, "{}", found.scatter);
 }
 
-/// σ along the axis is what that of ρ makes of it, whatever the sightings say; the point stays.
+/// σ along the axis follows from σ of ρ, independently of the sightings; the point stays.
 #[test]
 fn what_sightings_share_is_in_the_depth() {
     const RHO_STD_DEV_PX: f64 = 0.5;
@@ -64,7 +64,7 @@ fn what_sightings_share_is_in_the_depth() {
     for ((label, alone), shared) in alone.labels.iter().zip(&alone.points).zip(&shared.points) {
         let (Some(alone), Some(shared)) = (alone, shared) else { continue };
         let at = seen[label.1 as usize].sightings[0].at;
-        // By how much rho changes with z, from two virtual depths: rho = q' - dC/2s/nu.
+        // Derivative of rho by z, from two virtual depths: rho = q' - dC/2s/nu.
         let step = Vector3::new(0.0, 0.0, 0.01);
         let depths = virtual_depths(
             &camera,
@@ -87,7 +87,7 @@ fn off(found: &MetricPoint, truth: &Point3<f64>) -> f64 {
     (Point3::from(found.point_mm) - truth).norm()
 }
 
-/// The features that a detection would state.
+/// Returns the features that a detection would state.
 fn features(seen: &[SeenPoint], rho_std_dev_px: Option<f64>) -> Vec<BapFeature> {
     let of = |(corner, point): (usize, &SeenPoint)| {
         let feature = move |s: &Sighting| BapFeature {

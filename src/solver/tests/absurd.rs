@@ -1,5 +1,4 @@
-//! Absurd values cross the bridge: they come back as errors or as results. A CHECK in Ceres or glog would
-//! end the process.
+//! Extreme values across the bridge: they give errors or results. A CHECK in Ceres or glog would end the process.
 
 use nalgebra::{Point3, Quaternion, UnitQuaternion};
 use rand::rngs::StdRng;
@@ -33,7 +32,7 @@ const VALUES: [f64; 20] = [
 ];
 const NUMBERS: [i32; 8] = [0, 1, -1, 2, 36, 500, i32::MAX, i32::MIN];
 
-/// A problem in values of its own.
+/// Problem with owned values.
 struct Parts {
     camera: PlenopticCamera,
     board: BentBoard,
@@ -132,7 +131,7 @@ fn any_mut<T, const N: usize>(items: [&mut T; N], i: usize) -> &mut T {
 
 #[test]
 fn absurd_values_come_back_as_errors_or_results() {
-    // Ceres shows what is not finite, at length.
+    // Ceres logs values that are not finite at length.
     silence_log();
     let (mut errors, mut results) = (0, 0);
     for case in 0..CASES {
@@ -159,7 +158,7 @@ fn absurd_values_come_back_as_errors_or_results() {
     assert!(errors > 100 && results > 100, "{errors} errors, {results} results");
 }
 
-/// A problem with one or two absurd values.
+/// Creates a problem with one or two absurd values.
 fn parts_of_case(random: &mut StdRng) -> Parts {
     let mut parts = parts();
     for _ in 0..random.random_range(1..=2) {
