@@ -98,6 +98,12 @@ impl<S: Simd> Lanes<S> {
         self.simd.reduce_max_f32s(self.x)
     }
 
+    /// Returns the smallest number.
+    #[inline(always)]
+    pub fn smallest(self) -> f32 {
+        self.simd.reduce_min_f32s(self.x)
+    }
+
     /// Returns the sum of all numbers.
     #[inline(always)]
     pub fn sum(self) -> f32 {

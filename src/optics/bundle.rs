@@ -19,8 +19,8 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::aberration::Bend;
 use super::quadrature::Quadrature;
-use super::response::{Obliquity, Response};
-use super::rim::{Cut, Rim, Step};
+use super::response::{Obliquity, RayLight, Response};
+use super::rim::{Cut, LEAST_PX2, Rim, Step};
 use crate::numerics::simd::Lanes;
 
 /// Optics of a micro-image, which all of its rays share.
@@ -91,6 +91,8 @@ pub(crate) struct CornerLight {
     columns: [Vec<f32>; COLUMNS],
     /// Pixels that see only the first edge, only the second, and both, with the sign of the step that they do not see.
     on_edges: [Vec<(u32, f32)>; 3],
+    /// Order in which the pixels are processed.
+    order: Vec<(u32, u32)>,
 }
 
 impl CornerLight {
@@ -123,6 +125,11 @@ const MOST_LANES: usize = 16;
 const FAR: f32 = 3.0;
 /// Distance inside the rim of the pupil, in standard deviations, from which the rim has no effect.
 const WHOLE: f32 = 4.0;
+/// Distance outside the rim, in standard deviations, beyond which no light is left: see [`Rim::cut`].
+const NOTHING: f32 = 3.5;
+/// Height of the strips in which pixels are processed together, px. Neighbours see the same nodes through the same part of the
+/// pupil.
+const STRIP_PX: f32 = 3.0;
 /// Smallest white light, as a part of the whole, that a pixel is divided by.
 const DARK: f32 = 1e-6;
 
@@ -174,6 +181,13 @@ impl Bundle {
         let edges = &Edges::new(edges);
         Arch::new().dispatch(OfCorner::<OF_PLACE> { bundle: self, edges, x, y, light });
     }
+}
+
+/// Returns a key that orders pixels by strips, and from left to right in each.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // micro-images of some pixels
+fn strip_place(x: f32, y: f32) -> u32 {
+    let [strip, along] = [y / STRIP_PX, x].map(|x| (x + 4096.0).max(0.0) as u32);
+    (strip << 16) | along
 }
 
 /// An edge of a corner.
@@ -231,13 +245,17 @@ struct Moments {
     follows_by_rho: f32,
     follows_by_q: f32,
     follows_by_spread: f32,
-    /// Variance of o along an axis.
+    /// Variance of o along an axis, and one over its standard deviation.
     origin: f32,
-    /// 1/σ, and the derivative of σ² by q.
+    per_origin: f32,
+    /// σ, 1/σ, and the derivative of σ² by q.
+    spread: f32,
     per_spread: f32,
     variance_by_q: f32,
     /// Squared distance from the middle of the pupil, px², up to which its rim has no effect; negative if there is none.
     whole: f32,
+    /// Square of the distance beyond which it leaves no light, px².
+    none: f32,
 }
 
 impl Moments {
@@ -250,6 +268,7 @@ impl Moments {
         let by_variance = -0.5 * follows * per_spread * per_spread;
         let variance_by_q = 2.0 * q * cell;
         let inside = bundle.pupil - WHOLE * variance.sqrt();
+        let outside = bundle.pupil + NOTHING * variance.sqrt();
         Self {
             rim: Rim::new(bundle.pupil, variance),
             follows,
@@ -257,9 +276,12 @@ impl Moments {
             follows_by_q: rho * cell * per_spread + by_variance * variance_by_q,
             follows_by_spread: per_spread + by_variance,
             origin: pixel + wider + rho * rho * cell,
+            per_origin: (pixel + wider + rho * rho * cell).max(LEAST_PX2).sqrt().recip(),
+            spread: variance.sqrt(),
             per_spread,
             variance_by_q,
             whole: inside * inside.abs(),
+            none: outside * outside,
         }
     }
 }
@@ -284,16 +306,19 @@ impl<const WHICH: bool> WithSimd for OfCorner<'_, WHICH> {
         let reach = bundle.rho.abs() * bundle.quadrature.radius
             + FAR * spread
             + bundle.bend.largest(bundle.pupil);
-        let shape = &mut light.columns[Column::Shape as usize];
-        for (i, (&x, &y)) in x.iter().zip(y).enumerate() {
-            let [first, second] = edges.distances(x, y);
-            #[allow(clippy::cast_possible_truncation)] // a few hundred
-            let pixel = i as u32;
+        let CornerLight { columns, on_edges, order } = light;
+        order.clear();
+        order.extend((0_u32..).zip(x.iter().zip(y)).map(|(i, (&x, &y))| (strip_place(x, y), i)));
+        order.sort_unstable();
+        let shape = &mut columns[Column::Shape as usize];
+        for &(_, pixel) in order.iter() {
+            let i = pixel as usize;
+            let [first, second] = edges.distances(x[i], y[i]);
             match [first.abs() > reach, second.abs() > reach] {
                 [true, true] => shape[i] = first.signum() * second.signum(),
-                [false, true] => light.on_edges[FIRST].push((pixel, second.signum())),
-                [true, false] => light.on_edges[SECOND].push((pixel, first.signum())),
-                [false, false] => light.on_edges[BOTH].push((pixel, 1.0)),
+                [false, true] => on_edges[FIRST].push((pixel, second.signum())),
+                [true, false] => on_edges[SECOND].push((pixel, first.signum())),
+                [false, false] => on_edges[BOTH].push((pixel, 1.0)),
             }
         }
         for which in [FIRST, SECOND, BOTH] {
@@ -346,6 +371,8 @@ struct Rays<S: Simd> {
     /// Variance of o along the rim, and its further decrease across the rim.
     variance: Lanes<S>,
     narrower: Lanes<S>,
+    /// One over the standard deviation of o inside the rim.
+    per_spread: Lanes<S>,
     /// Direction across the rim, outwards.
     outwards: [Lanes<S>; 2],
     cut: Cut<S>,
@@ -355,7 +382,8 @@ struct Rays<S: Simd> {
 
 /// Steps in the sharp image.
 trait Steps {
-    fn seen<S: Simd>(&self, simd: S, rays: &Rays<S>) -> Seen<S>;
+    /// Returns the light through a node. `INSIDE` is true if the rim of the pupil has no effect.
+    fn seen<S: Simd, const INSIDE: bool>(&self, simd: S, rays: &Rays<S>) -> Seen<S>;
 }
 
 /// Single step: an edge far from the other one.
@@ -366,7 +394,7 @@ struct OneEdge {
 
 /// Returns the components of the direction outwards across and along an edge, and the step of the edge, blurred by the rays.
 #[inline(always)]
-fn across<S: Simd>(
+fn across<S: Simd, const INSIDE: bool>(
     simd: S,
     Edge { s, c, .. }: Edge,
     place: [f32; 2],
@@ -374,40 +402,58 @@ fn across<S: Simd>(
 ) -> ([Lanes<S>; 2], Step<S>) {
     let [out_x, out_y] = rays.outwards;
     let (o_x, o_y) = (rays.mean[0] - place[0], rays.mean[1] - place[1]);
+    let distance = o_y * c - o_x * s;
+    if INSIDE {
+        return ([out_x, out_y], Step::of_inverse(simd, distance, rays.per_spread));
+    }
     let direction = [out_y * c - out_x * s, out_x * c + out_y * s];
     let variance = (rays.narrower * direction[0]).mul_from(direction[0], rays.variance);
-    (direction, Step::new(simd, o_y * c - o_x * s, variance))
+    (direction, Step::new(simd, distance, variance))
 }
 
 impl Steps for OneEdge {
     #[inline(always)]
-    fn seen<S: Simd>(&self, simd: S, rays: &Rays<S>) -> Seen<S> {
+    fn seen<S: Simd, const INSIDE: bool>(&self, simd: S, rays: &Rays<S>) -> Seen<S> {
         let Self { edge, place } = *self;
-        let ([n, t], step) = across(simd, edge, place, rays);
+        let ([n, t], step) = across::<S, INSIDE>(simd, edge, place, rays);
         let by_variance = step.second * 0.5;
+        let (shape, by_narrower) = if INSIDE {
+            (step.of_fourth_cumulant(edge.fourth), by_variance)
+        } else {
+            let third = rays.cut.third(rays.cubed, [n, t]);
+            (step.of_cumulants(third, edge.fourth), by_variance * (n * n))
+        };
         Seen {
-            shape: step.of_cumulants(rays.cut.third(rays.cubed, [n, t]), edge.fourth),
+            shape,
             by_u: step.first * edge.s,
             by_v: step.first * -edge.c,
             by_width: by_variance,
-            by_narrower: by_variance * (n * n),
+            by_narrower,
         }
     }
 }
 
 impl Steps for Edges {
     #[inline(always)]
-    fn seen<S: Simd>(&self, simd: S, rays: &Rays<S>) -> Seen<S> {
+    fn seen<S: Simd, const INSIDE: bool>(&self, simd: S, rays: &Rays<S>) -> Seen<S> {
         let Self { place, each: [first, second], cosine, mixed: [f31, f22, f13] } = *self;
-        let ([n1, t1], a) = across(simd, first, place, rays);
-        let ([n2, t2], b) = across(simd, second, place, rays);
+        let ([n1, t1], a) = across::<S, INSIDE>(simd, first, place, rays);
+        let ([n2, t2], b) = across::<S, INSIDE>(simd, second, place, rays);
         let (n11, n22, n12) = (n1 * n1, n2 * n2, n1 * n2);
-        let both = rays.variance * cosine - rays.narrower * n12;
-        let [third_1, third_2, mixed_1, mixed_2] = rays.cut.thirds(rays.cubed, [n1, t1], [n2, t2]);
-        let shape = a.of_cumulants(third_1, first.fourth) * b.of_cumulants(third_2, second.fourth)
+        let (both, product) = if INSIDE {
+            let product = a.of_fourth_cumulant(first.fourth) * b.of_fourth_cumulant(second.fourth);
+            (rays.variance * cosine, product)
+        } else {
+            let [third_1, third_2, mixed_1, mixed_2] =
+                rays.cut.thirds(rays.cubed, [n1, t1], [n2, t2]);
+            let product = a.of_cumulants(third_1, first.fourth)
+                * b.of_cumulants(third_2, second.fourth)
+                + (mixed_1 * a.second * b.first + mixed_2 * a.first * b.second) * 0.5;
+            (rays.variance * cosine - rays.narrower * n12, product)
+        };
+        let shape = product
             + both * a.first * b.first
             + (both * both * 0.5 + 0.25 * f22) * a.second * b.second
-            + (mixed_1 * a.second * b.first + mixed_2 * a.first * b.second) * 0.5
             + (a.third * b.first * f31 + a.first * b.third * f13) * (1.0 / 6.0);
         // Derivatives by the distances from both edges, and by their variances and covariance.
         let by_1 = a.first * b.value + both * a.second * b.first;
@@ -415,14 +461,36 @@ impl Steps for Edges {
         let by_11 = (a.second * b.value + both * a.third * b.first) * 0.5;
         let by_22 = (a.value * b.second + both * a.first * b.third) * 0.5;
         let by_12 = a.first * b.first + both * a.second * b.second;
+        let by_width = by_11 + by_22 + by_12 * cosine;
         Seen {
             shape,
             by_u: by_1 * first.s + by_2 * second.s,
             by_v: -(by_1 * first.c + by_2 * second.c),
-            by_width: by_11 + by_22 + by_12 * cosine,
-            by_narrower: by_11 * n11 + by_22 * n22 + by_12 * n12,
+            by_width,
+            by_narrower: if INSIDE { by_width } else { by_11 * n11 + by_22 * n22 + by_12 * n12 },
         }
     }
+}
+
+/// Sums over the nodes, for some pixels.
+struct NodeSums<S: Simd> {
+    white: Lanes<S>,
+    /// Derivatives of white light by the quantities of [`OF_LIGHT`].
+    white_by: [Lanes<S>; OF_LIGHT.len()],
+    columns: [Lanes<S>; COLUMNS],
+}
+
+/// Rays of some pixels through a node.
+struct NodeRays<S: Simd> {
+    ray: RayLight<S>,
+    /// Weight of the node.
+    weight: f32,
+    /// Mean points in the pixel and in the opening; their brighter sides have more weight.
+    p: [Lanes<S>; 2],
+    w: [Lanes<S>; 2],
+    /// Mean point in the pupil, and its squared distance from the middle.
+    y: [Lanes<S>; 2],
+    square: Lanes<S>,
 }
 
 /// Computes the columns of some pixels.
@@ -434,110 +502,152 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
     [x, y]: [Lanes<S>; 2],
     edges: &E,
 ) -> [Lanes<S>; COLUMNS] {
-    let Bundle { rho, q, pixel, half_pitch, .. } = *bundle;
-    let cell = bundle.quadrature.variance;
-    let Moments { follows, .. } = *moments;
-    let (squared, cubed) = (follows * follows, follows * follows * follows);
-    let [spherical, coma, astigmatism] = bundle.bend.coefficients.into();
-    let mut white = Lanes::splat(simd, 0.0);
-    let mut columns = [Lanes::splat(simd, 0.0); COLUMNS];
-    // Derivatives of white light by the quantities of `OF_LIGHT`.
-    let mut white_by = [Lanes::splat(simd, 0.0); OF_LIGHT.len()];
+    let Bundle { q, pixel, half_pitch, .. } = *bundle;
+    let in_cell = bundle.quadrature.variance * half_pitch;
+    let zero = Lanes::splat(simd, 0.0);
+    let mut sums =
+        NodeSums { white: zero, white_by: [zero; OF_LIGHT.len()], columns: [zero; COLUMNS] };
     for node in &bundle.quadrature.nodes {
         let ray = bundle.response.light(simd, [x + node.x * half_pitch, y + node.y * half_pitch]);
         // The brighter side of the pixel and of the node has more weight.
         let [by_x, by_y] = ray.gradient;
-        let (p_x, p_y) = (by_x.mul_add_scalar(pixel, x), by_y.mul_add_scalar(pixel, y));
-        let in_cell = cell * half_pitch;
-        let (w_x, w_y) = (by_x * in_cell + node.x, by_y * in_cell + node.y);
-        let (y_x, y_y) = (p_x - w_x * q, p_y - w_y * q);
-        let square = y_x.mul_add(y_x, y_y * y_y);
+        let p = [by_x.mul_add_scalar(pixel, x), by_y.mul_add_scalar(pixel, y)];
+        let w = [by_x * in_cell + node.x, by_y * in_cell + node.y];
+        let y = [p[0] - w[0] * q, p[1] - w[1] * q];
+        let square = y[0].mul_add(y[0], y[1] * y[1]);
+        if square.smallest() > moments.none {
+            continue;
+        }
+        let rays = NodeRays { ray, weight: node.weight, p, w, y, square };
         // Most points are so far inside the pupil that its rim has no effect.
-        let (cut, [out_x, out_y]) = if square.largest() < moments.whole {
+        if square.largest() < moments.whole {
+            sums.add::<WHICH, true, E>(simd, bundle, moments, &rays, edges);
+        } else {
+            sums.add::<WHICH, false, E>(simd, bundle, moments, &rays, edges);
+        }
+    }
+    let NodeSums { white, white_by, mut columns } = sums;
+    relative_to_white(&mut columns, white.max(Lanes::splat(simd, DARK)).recip(), &white_by);
+    columns
+}
+
+impl<S: Simd> NodeSums<S> {
+    /// Adds the light of some pixels through a node. `INSIDE` is true if the rim of the pupil has no effect.
+    #[inline(always)]
+    fn add<const WHICH: bool, const INSIDE: bool, E: Steps>(
+        &mut self,
+        simd: S,
+        bundle: &Bundle,
+        moments: &Moments,
+        node: &NodeRays<S>,
+        edges: &E,
+    ) {
+        let Bundle { rho, pixel, half_pitch, .. } = *bundle;
+        let NodeRays { ray, weight, p: [p_x, p_y], w: [w_x, w_y], y: [y_x, y_y], square } = node;
+        let (w_x, w_y) = (*w_x, *w_y);
+        let cell = bundle.quadrature.variance;
+        let follows = moments.follows;
+        let (squared, cubed) = (follows * follows, follows * follows * follows);
+        let [spherical, coma, astigmatism] = bundle.bend.coefficients.into();
+        let (cut, outwards) = if INSIDE {
             (Cut::none(simd), [Lanes::splat(simd, 0.0); 2])
         } else {
             let from_middle = square.max(Lanes::splat(simd, 1e-6)).sqrt();
             let inverse = from_middle.recip();
-            (moments.rim.cut(simd, from_middle), [y_x * inverse, y_y * inverse])
+            (moments.rim.cut(simd, from_middle), [*y_x * inverse, *y_y * inverse])
         };
-        let light = ray.light * cut.visible * node.weight;
+        let light = if INSIDE { ray.light * *weight } else { ray.light * cut.visible * *weight };
 
         // The aberrations are taken at the mean point of the pupil that the light passes.
-        let inwards = cut.mean * moments.per_spread.recip();
-        let terms = seidel_terms(&bundle.bend, [y_x - inwards * out_x, y_y - inwards * out_y]);
+        let in_pupil = if INSIDE {
+            [*y_x, *y_y]
+        } else {
+            let inwards = cut.mean * moments.spread;
+            [*y_x - inwards * outwards[0], *y_y - inwards * outwards[1]]
+        };
+        let terms = seidel_terms(&bundle.bend, in_pupil);
         let [by_spherical, by_coma, by_astigmatism] = terms;
-        let mut aberration = by_spherical;
-        for i in 0..2 {
-            aberration[i] =
-                by_spherical[i] * spherical + by_coma[i] * coma + by_astigmatism[i] * astigmatism;
-        }
-
+        let mut mean = [*p_x - w_x * rho, *p_y - w_y * rho];
         let inwards = cut.mean * follows;
-        let outwards = [out_x, out_y];
-        let mean = [
-            p_x - w_x * rho - inwards * out_x + aberration[0],
-            p_y - w_y * rho - inwards * out_y + aberration[1],
-        ];
-        let variance = Lanes::splat(simd, moments.origin) - cut.sideways * squared;
-        let narrower = cut.narrower * squared;
-        let rays = Rays { mean, variance, narrower, outwards, cut, cubed };
-        let Seen { shape, by_u, by_v, by_width, by_narrower } = edges.seen(simd, &rays);
-        white = white + light;
+        for i in 0..2 {
+            mean[i] = mean[i]
+                + (by_spherical[i] * spherical
+                    + by_coma[i] * coma
+                    + by_astigmatism[i] * astigmatism);
+            if !INSIDE {
+                mean[i] = mean[i] - inwards * outwards[i];
+            }
+        }
+        let origin = Lanes::splat(simd, moments.origin);
+        let (variance, narrower) = if INSIDE {
+            (origin, cut.narrower)
+        } else {
+            (origin - cut.sideways * squared, cut.narrower * squared)
+        };
+        let per_spread = Lanes::splat(simd, moments.per_origin);
+        let rays = Rays { mean, variance, narrower, per_spread, outwards, cut, cubed };
+        let Seen { shape, by_u, by_v, by_width, by_narrower } =
+            edges.seen::<S, INSIDE>(simd, &rays);
+        let cut = &rays.cut;
+        let columns = &mut self.columns;
+        self.white = self.white + light;
         columns[0] = light.mul_add(shape, columns[0]);
         columns[1] = light.mul_add(by_u, columns[1]);
         columns[2] = light.mul_add(by_v, columns[2]);
         if WHICH == OF_PLACE {
-            continue;
+            return;
         }
         let by_place = [by_u, by_v];
-        let outwards = by_origin(by_place, outwards);
-        // Derivative by the decreases of the variances that the rim causes.
-        let by_cut = cut.sideways * by_width + cut.narrower * by_narrower;
-        // Derivative by cov(o, y)/σ.
-        let by_follows = -(outwards * cut.mean) - by_cut * (2.0 * follows);
-        let by_distance = outwards * cut.mean_by_distance() * (-follows);
-
-        let by_rho = by_origin(by_place, [-w_x, -w_y])
-            + by_follows * moments.follows_by_rho
-            + by_width * (2.0 * rho * cell);
-        // Derivatives of z by q, a and the point spread.
-        let (z_by_pupil, z_by_variance) = moments.rim.derivatives(cut.distance);
-        let z_by_q = (w_x * out_x + w_y * out_y) * moments.per_spread
-            + z_by_variance * moments.variance_by_q;
-        // λ is the derivative of ln ⟨Φ⟩.
-        let light_by =
-            [cut.mean * z_by_q, cut.mean * z_by_pupil, cut.mean * z_by_variance, ray.by_within];
-        let shape_by = [
-            by_follows * moments.follows_by_q + by_distance * z_by_q,
-            by_distance * z_by_pupil,
-            by_follows * moments.follows_by_spread + by_distance * z_by_variance + by_width,
+        let by_within = ray.by_within.mul_add(
+            shape,
             by_origin(by_place, ray.gradient_by_within) * (pixel - rho * cell * half_pitch),
-        ];
-        let mut of_light = shape_by;
-        for i in 0..OF_LIGHT.len() {
-            of_light[i] = light_by[i].mul_add(shape, shape_by[i]);
+        );
+        let mut by_rho = by_origin(by_place, [-w_x, -w_y]) + by_width * (2.0 * rho * cell);
+        let mut of_light = [by_width, by_within];
+        if !INSIDE {
+            let outwards = by_origin(by_place, outwards);
+            // Derivative by the decreases of the variances that the rim causes.
+            let by_cut = cut.sideways * by_width + cut.narrower * by_narrower;
+            // Derivative by cov(o, y)/σ.
+            let by_follows = -(outwards * cut.mean) - by_cut * (2.0 * follows);
+            let by_distance = outwards * cut.mean_by_distance() * (-follows);
+            by_rho = by_rho + by_follows * moments.follows_by_rho;
+            // Derivatives of z by q, a and the point spread.
+            let (z_by_pupil, z_by_variance) = moments.rim.derivatives(cut.distance);
+            let z_by_q = (w_x * rays.outwards[0] + w_y * rays.outwards[1]) * moments.per_spread
+                + z_by_variance * moments.variance_by_q;
+            // λ is the derivative of ln ⟨Φ⟩.
+            let light_by = [cut.mean * z_by_q, cut.mean * z_by_pupil, cut.mean * z_by_variance];
+            let shape_by = [
+                by_follows * moments.follows_by_q + by_distance * z_by_q,
+                by_distance * z_by_pupil,
+                by_follows * moments.follows_by_spread + by_distance * z_by_variance + by_width,
+            ];
+            let cut_by = [Column::PupilBlurRadius, Column::Pupil];
+            for (k, column) in cut_by.into_iter().enumerate() {
+                let column = &mut columns[column as usize];
+                *column = light.mul_add(light_by[k].mul_add(shape, shape_by[k]), *column);
+            }
+            of_light[0] = light_by[2].mul_add(shape, shape_by[2]);
+            for k in 0..3 {
+                self.white_by[k] = light.mul_add(light_by[k], self.white_by[k]);
+            }
         }
-        let [by_q, by_pupil, by_spread, by_within] = of_light;
+        self.white_by[3] = light.mul_add(ray.by_within, self.white_by[3]);
         let values = [
-            by_rho,
-            by_width,
-            by_q,
-            by_pupil,
-            by_spread,
-            by_within,
-            by_origin(by_place, by_spherical),
-            by_origin(by_place, by_coma),
-            by_origin(by_place, by_astigmatism),
+            (Column::BlurRadius, by_rho),
+            (Column::EdgeVariance, by_width),
+            (Column::PointSpread, of_light[0]),
+            (Column::FallOff, of_light[1]),
+            (Column::Spherical, by_origin(by_place, by_spherical)),
+            (Column::Coma, by_origin(by_place, by_coma)),
+            (Column::Astigmatism, by_origin(by_place, by_astigmatism)),
         ];
-        for k in PLACE_COLUMNS..COLUMNS {
-            columns[k] = light.mul_add(values[k - PLACE_COLUMNS], columns[k]);
-        }
-        for k in 0..OF_LIGHT.len() {
-            white_by[k] = light.mul_add(light_by[k], white_by[k]);
+        for (column, value) in values {
+            let column = &mut columns[column as usize];
+            *column = light.mul_add(value, *column);
         }
     }
-    relative_to_white(&mut columns, white.max(Lanes::splat(simd, DARK)).recip(), &white_by);
-    columns
 }
 
 /// Divides sums of light by white light, which depends on the quantities of [`OF_LIGHT`] too.

@@ -10,7 +10,7 @@ use crate::numerics::simd::Lanes;
 /// Smallest visible part of the light: the series do not hold for smaller tails.
 const LEAST: f32 = 1e-3;
 /// Smallest variance along a normal, px².
-const LEAST_PX2: f32 = 1e-3;
+pub(super) const LEAST_PX2: f32 = 1e-3;
 
 /// Rim of the pupil, which truncates the distribution of points that a pixel sees.
 #[derive(Clone, Copy)]
@@ -160,6 +160,12 @@ impl<S: Simd> Step<S> {
     #[inline(always)]
     pub fn new(simd: S, distance: Lanes<S>, variance: Lanes<S>) -> Self {
         let inverse = variance.max(Lanes::splat(simd, LEAST_PX2)).sqrt().recip();
+        Self::of_inverse(simd, distance, inverse)
+    }
+
+    /// Creates the step from a distance, px, and the inverse of the standard deviation, px⁻¹.
+    #[inline(always)]
+    pub fn of_inverse(simd: S, distance: Lanes<S>, inverse: Lanes<S>) -> Self {
         let distance = distance * inverse;
         let (below, density) = normal(simd, distance);
         let first = (density + density) * inverse;
@@ -172,6 +178,12 @@ impl<S: Simd> Step<S> {
             third: (squared - 1.0) * curvature,
             fourth: distance * (Lanes::splat(simd, 3.0) - squared) * curvature * inverse,
         }
+    }
+
+    /// Returns the step blurred by a distribution with a fourth cumulant, px⁴.
+    #[inline(always)]
+    pub fn of_fourth_cumulant(&self, fourth: f32) -> Lanes<S> {
+        self.fourth.mul_add_scalar(fourth / 24.0, self.value)
     }
 
     /// Returns the step blurred by a distribution with a third and a fourth cumulant, px³ and px⁴.
