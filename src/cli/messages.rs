@@ -236,14 +236,10 @@ fn written(paths: &[PathBuf]) -> String {
     }
     let most = if tables_are_shown() { paths.len() } else { MOST_FILES };
     let listed = if paths.len() > most { most - 1 } else { paths.len() };
-    let mut text = "\nWritten:\n".to_owned();
-    for path in &paths[..listed] {
-        text += &format!("  {}\n", path.display());
-    }
-    if listed < paths.len() {
-        text += &format!("  and {} more\n", paths.len() - listed);
-    }
-    text
+    let names = paths[..listed].iter().map(|path| path.display().to_string());
+    let more = (listed < paths.len()).then(|| format!("and {} more", paths.len() - listed));
+    let lines: Vec<String> = names.chain(more).map(|line| format!("  {line}\n")).collect();
+    format!("\nWritten:\n{}", lines.concat())
 }
 
 /// Prints the output of a command. A reader that has gone away is not an error.

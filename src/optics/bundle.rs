@@ -629,8 +629,8 @@ impl<S: Simd> NodeSums<S> {
                 *column = light.mul_add(light_by[k].mul_add(shape, shape_by[k]), *column);
             }
             of_light[0] = light_by[2].mul_add(shape, shape_by[2]);
-            for k in 0..3 {
-                self.white_by[k] = light.mul_add(light_by[k], self.white_by[k]);
+            for (sum, by) in self.white_by.iter_mut().zip(light_by) {
+                *sum = light.mul_add(by, *sum);
             }
         }
         self.white_by[3] = light.mul_add(ray.by_within, self.white_by[3]);

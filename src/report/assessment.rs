@@ -94,7 +94,7 @@ pub(super) fn object_space_table(space: &ObjectSpace) -> Table {
 }
 
 /// Returns the result of a calibration on one screen: the verdict from these findings, the main parameters, errors, σ in space,
-/// the results of an evaluation, and the next step; with the figures of [`OF_RESULT`](super::OF_RESULT).
+/// the results of an evaluation, and the next step; with the figures of [`OF_RESULT`].
 #[must_use]
 pub fn result_section(
     calibration: &Calibration,
