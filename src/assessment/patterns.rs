@@ -88,7 +88,7 @@ fn over_micro_images(calibration: &Calibration) -> Result<f64> {
     let residuals = &calibration.reprojection.features;
     let named = residuals.iter().map(|r| (r.feature.k, r.feature.l));
     let centers = solver::project_centers(&calibration.camera, named)?;
-    let mut by_type: BTreeMap<usize, [f64; 3]> = BTreeMap::new();
+    let mut by_type: BTreeMap<usize, [f64; 4]> = BTreeMap::new();
     let offset = |r: &FeatureResidual, [u, v]: &[f64; 2]| (r.feature.u_px - u, r.feature.v_px - v);
     for (r, center) in residuals.iter().zip(&centers) {
         let (u, v) = offset(r, center);
@@ -96,12 +96,12 @@ fn over_micro_images(calibration: &Calibration) -> Result<f64> {
         sums[0] += u * u + v * v;
         sums[1] += u * r.du_px + v * r.dv_px;
         sums[2] += r.du_px.powi(2) + r.dv_px.powi(2);
+        sums[3] += 1.0;
     }
-    // The slope explains this; of scatter alone, it would explain one of 2n residuals.
-    let of_scatter = |all: f64| all / (2.0 * residuals.len() as f64);
-    let explained = |[square, product, all]: &[f64; 3]| {
+    let explained = |[square, product, all, count]: &[f64; 4]| {
         let explained = if *square > 0.0 { product * product / square } else { 0.0 };
-        explained - of_scatter(*all)
+        // Of scatter alone, the slope explains one of 2n residuals.
+        explained - all / (2.0 * count)
     };
     let sum: f64 = by_type.values().map(explained).map(|part| part.max(0.0)).sum();
     Ok((sum / residuals.len().max(1) as f64).sqrt())
