@@ -167,9 +167,7 @@ fn check_feature(
 ) -> Result<()> {
     let what = feature_text(f);
     check_position(&what, (f.k, f.l), (f.u_px, f.v_px), array, sensor)?;
-    if needs_rho {
-        check_rho(f.rho_px, &what, sensor)?;
-    }
+    check_rho(f.rho_px, needs_rho, &what, sensor)?;
     let of_blur = f.blur.as_ref().map(|blur| &blur.std_dev_px);
     let std_devs = f.std_dev_px.iter().flatten().chain(&f.rho_std_dev_px);
     check_std_devs(std_devs.chain(of_blur), &what)?;
@@ -245,10 +243,11 @@ fn check_position(
     Ok(())
 }
 
-/// Returns an error unless a blur radius was measured and is possible.
-fn check_rho(rho_px: Option<f64>, what: &str, sensor: &Sensor) -> Result<()> {
-    let Some(rho_px) = rho_px.filter(|rho| rho.is_finite()) else {
-        return Err(Error::NoBlurRadius { feature: what.to_owned() });
+/// Returns an error unless a blur radius is possible, and was measured if it is needed. Residuals state it in any case.
+fn check_rho(rho_px: Option<f64>, is_needed: bool, what: &str, sensor: &Sensor) -> Result<()> {
+    let Some(rho_px) = rho_px.filter(|rho| !rho.is_nan()) else {
+        let error = Error::NoBlurRadius { feature: what.to_owned() };
+        return if is_needed { Err(error) } else { Ok(()) };
     };
     if rho_px.abs() > f64::from(sensor.width_px) {
         return Err(Error::invalid(format!(

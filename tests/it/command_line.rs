@@ -310,3 +310,23 @@ fn the_help_says_what_becomes_of_files_that_exist() {
         assert!(words.join(" ").contains("Files of earlier results are replaced"), "{command}");
     }
 }
+
+/// The cost of poses has no blur radius, but residuals state it.
+#[test]
+fn a_blur_radius_wider_than_the_image_is_refused_where_it_does_not_count_too() {
+    let folder = TempDir::new().unwrap();
+    let features = fs::read_to_string(synthetic_folder().join("features.csv")).unwrap();
+    let mut lines: Vec<String> = features.lines().map(str::to_owned).collect();
+    let at = lines[0].split(',').position(|name| name == "rho").unwrap();
+    let mut values: Vec<&str> = lines[1].split(',').collect();
+    values[at] = "1e308";
+    lines[1] = values.join(",");
+    let path = folder.path().join("features.csv");
+    fs::write(&path, lines.join("\n")).unwrap();
+    let mut command = plenocal();
+    command.args(["calibrate", "--mode", "poses-only", "--camera"]);
+    command.arg(synthetic_folder().join("truth/camera.json"));
+    command.arg("--scene").arg(synthetic_folder().join("project.toml"));
+    command.arg("--features").arg(&path).arg("--out").arg(folder.path().join("out"));
+    command.assert().code(1).stderr(predicate::str::contains("wider than the image"));
+}
