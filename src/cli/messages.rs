@@ -108,7 +108,7 @@ pub fn tell<'a>(findings: impl IntoIterator<Item = &'a Finding>) {
 
 /// Formats a finding as a warning: its message, the number of similar findings, its code, and on another line the remedy with
 /// the option that helps.
-pub fn told(finding: &Finding, others: usize) -> String {
+fn told(finding: &Finding, others: usize) -> String {
     let like_it = if others > 0 { format!(" (and {others} more like it)") } else { String::new() };
     let remedy = finding.remedy();
     let help = match option(&finding.issue) {

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::assessment::{next_text, object_space_table, outliers_text, verdict_parts};
-use super::summary::summary_parts;
+use super::summary::{deviation, summary_parts};
 use super::tree::{Cell, Column, Figure, Part, Section, Table, sentence};
 use crate::assessment::Assessment;
 use crate::calibration::{
@@ -72,17 +72,12 @@ fn parameters_table(calibration: &Calibration) -> Table {
     {
         let (unit, factor) = display_unit(parameter.name(), parameter.unit());
         let scaled = std_dev.map(|s| s * factor);
-        let deviation = match std_dev {
-            None => "fixed".into(),
-            Some(s) if s.is_infinite() => "undetermined".into(),
-            Some(_) => Cell::std_dev(scaled),
-        };
         let mut row = vec![
             parameter.name().into(),
             unit.into(),
             Cell::value(initial * factor, None),
             Cell::value(optimised * factor, scaled),
-            deviation,
+            deviation(scaled),
         ];
         if uncertainty.shared {
             row.extend(match (std_dev, independent) {

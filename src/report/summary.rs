@@ -1,5 +1,7 @@
 //! A calibration at a glance.
 
+use nalgebra::Vector2;
+
 use super::tree::{Cell, Column, Figure, Part, Table};
 use crate::assessment::{Assessment, Distance, Evaluation, ParameterError};
 use crate::calibration::Calibration;
@@ -93,12 +95,16 @@ fn place_of(name: &str) -> Option<usize> {
 fn row(name: &str, unit: &'static str, value: f64, std_dev: Option<f64>) -> [Cell; 4] {
     let (unit, factor) = display_unit(name, unit);
     let scaled = std_dev.map(|s| s * factor);
-    let deviation = match std_dev {
+    [name.into(), Cell::value(value * factor, scaled), deviation(scaled), unit.into()]
+}
+
+/// Returns the cell of the σ of a parameter, in the unit of its row; a fixed parameter has none.
+pub(super) fn deviation(std_dev: Option<f64>) -> Cell {
+    match std_dev {
         None => "fixed".into(),
         Some(s) if s.is_infinite() => "undetermined".into(),
-        Some(_) => Cell::std_dev(scaled),
-    };
-    [name.into(), Cell::value(value * factor, scaled), deviation, unit.into()]
+        Some(_) => Cell::std_dev(std_dev),
+    }
 }
 
 /// Returns the angle between array and sensor, √(θx² + θy²); `None` if it is fixed.
@@ -110,12 +116,15 @@ fn tilt(calibration: &Calibration) -> Option<[Cell; 4]> {
     let (x, y) = (row_of(TILT[0])?, row_of(TILT[1])?);
     let angles = calibration.camera.mla.rotation_rad.xy();
     let angle = angles.norm();
-    let by = angles / angle;
+    // An angle of 0 has no direction.
+    let by = if angle > 0.0 { angles / angle } else { Vector2::x() };
     let covariance = |a: usize, b: usize| uncertainty.covariance[(a, b)];
     let variance = by.x * by.x * covariance(x, x)
         + 2.0 * by.x * by.y * covariance(x, y)
         + by.y * by.y * covariance(y, y);
-    let mut row = row("theta", "rad", angle, Some(variance.max(0.0).sqrt()));
+    let known = covariance(x, x).is_finite() && covariance(y, y).is_finite();
+    let std_dev = if known { variance.max(0.0).sqrt() } else { f64::INFINITY };
+    let mut row = row("theta", "rad", angle, Some(std_dev));
     row[0] = "tilt".into();
     Some(row)
 }
