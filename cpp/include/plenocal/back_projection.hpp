@@ -67,8 +67,8 @@ class PLENOCAL_API BackProjection {
   const Camera& camera() const { return camera_; }
 
   /// Returns the micro-image whose micro-lens is nearest to the point where the ray from the centre
-  /// of the exit pupil to the pixel meets the array. None outside the array, and off the sensor if
-  /// its size is known.
+  /// of the exit pupil to the pixel meets the array. Returns no value outside the array, and off
+  /// the sensor if its size is known.
   std::optional<MicroImage> micro_image_at(const Pixel<double>& pixel) const;
 
   /// Returns the radius of micro-images, px: half the distance between neighbours. Pixels further

@@ -60,12 +60,13 @@ Part<double> values_of(const Part<T>& part) {
 }
 
 /// Returns the ideal image point that distortion moves to `distorted`, both in mm in the camera
-/// frame. None if there is none on the axis's side of the fold, where polynomials turn back.
+/// frame. Returns no value if there is none on the axis's side of the fold, where polynomials turn
+/// back.
 template <typename T>
 std::optional<Vector2<T>> undistort(const MainLens<T>& lens, const Vector2<T>& distorted) {
   constexpr int kMaxSteps = 50;
   constexpr double kSettled = 1e-15;   // step over the distance from the axis
-  constexpr double kRounding = 1e-12;  // the same for a step that is not smaller than the last
+  constexpr double kRounding = 1e-12;  // likewise, for a step that is not smaller than the last
   const MainLens<double> at = values_of(lens);
   const Vector2<double> target{value_of(distorted.x), value_of(distorted.y)};
   // Newton's method. A step that would leave the axis's side of the fold is halved.
@@ -101,8 +102,8 @@ std::optional<Vector2<T>> undistort(const MainLens<T>& lens, const Vector2<T>& d
 }
 
 /// Returns the point in the camera frame (mm) whose image through the main lens is p': the inverse
-/// of `main_lens_image`. None if p' is not the image of a point beyond the focal plane, or if
-/// distortion has no inverse there.
+/// of `main_lens_image`. Returns no value if p' is not the image of a point beyond the focal plane,
+/// or if distortion has no inverse there.
 template <typename T>
 std::optional<Vector3<T>> object_point(const MainLens<T>& lens, const Vector3<T>& image) {
   const std::optional<Vector2<T>> ideal = undistort(lens, {image.x, image.y});
@@ -182,8 +183,8 @@ Ray<T> ray_behind(const Optics<T>& optics, const MicroLens& micro_lens, const Pi
 
 /// Returns the ray in object space whose image is the chief ray of a pixel, with its origin at the
 /// distance z (mm). Distortion and field curvature bend the image of a straight line a little. The
-/// ray is therefore the tangent, at z, to the curve that the model images onto the pixel. None if
-/// the model images no point at z onto the pixel.
+/// ray is therefore the tangent, at z, to the curve that the model images onto the pixel. Returns
+/// no value if the model images no point at z onto the pixel.
 template <typename T>
 std::optional<Ray<T>> object_ray(const Optics<T>& optics, const MicroLens& micro_lens,
                                  const Pixel<T>& pixel, const T& z) {

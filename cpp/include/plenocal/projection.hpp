@@ -130,8 +130,8 @@ Vector2<T> distortion(const MainLens<T>& lens, const T& x, const T& y) {
 }
 
 /// Returns p', the image of a point in the camera frame through the main lens: K(F) and the
-/// distortion of Eq. (completemodel), and the field curvature. None if the point is not beyond the
-/// focal plane.
+/// distortion of Eq. (completemodel), and the field curvature. Returns no value if the point is not
+/// beyond the focal plane.
 template <typename T>
 std::optional<Vector3<T>> main_lens_image(const MainLens<T>& lens, const Vector3<T>& point) {
   const T beyond_focus = point.z - lens.focal_length;
@@ -218,7 +218,7 @@ class ArrayOptics {
   }
 
   /// Returns -delta/a, the scale at which the sensor shows an image p' seen through a micro-lens
-  /// with the centre C. None if p' lies in the plane of the micro-lens.
+  /// with the centre C. Returns no value if p' lies in the plane of the micro-lens.
   std::optional<T> image_scale(const Vector3<T>& image, const Vector3<T>& center) const {
     const T a = image.z - center.z;
     if (a == 0.0) return std::nullopt;
@@ -335,8 +335,8 @@ inline MicroLens micro_lens_of(const Camera& camera, int k, int l) {
   return {camera.lattice.node(k, l), camera.lattice.lens_type(k, l, camera.lens_types())};
 }
 
-/// Projects a point whose image p' through the main lens is known, see `main_lens_image`. None if
-/// the point is imaged onto the micro-lens.
+/// Projects a point whose image p' through the main lens is known, see `main_lens_image`. Returns
+/// no value if the point is imaged onto the micro-lens.
 template <typename T>
 std::optional<Feature<T>> project_image(const Optics<T>& optics, const Vector3<T>& image,
                                         const MicroLens& micro_lens) {
@@ -351,8 +351,8 @@ std::optional<Feature<T>> project_image(const Optics<T>& optics, const Vector3<T
                         : T(std::numeric_limits<double>::quiet_NaN())};
 }
 
-/// Projects a point in the camera frame (mm). None if the model is not defined: for a point within
-/// the focal length, or imaged onto the micro-lens.
+/// Projects a point in the camera frame (mm). Returns no value if the model is not defined: for a
+/// point within the focal length, or imaged onto the micro-lens.
 template <typename T>
 std::optional<Feature<T>> project(const Optics<T>& optics, const Vector3<T>& point,
                                   const MicroLens& micro_lens) {
@@ -360,10 +360,10 @@ std::optional<Feature<T>> project(const Optics<T>& optics, const Vector3<T>& poi
   return image ? project_image(optics, *image, micro_lens) : std::nullopt;
 }
 
-/// Projects a board point (mm) through micro-lens (k, l), in one call and with checks. None if the
-/// model is not defined, as above, for a micro-lens that the array does not have, for numbers that
-/// are not finite, and for points so far off the axis that distortion turns back. Throws
-/// std::invalid_argument if the camera is not valid.
+/// Projects a board point (mm) through micro-lens (k, l), in one call and with checks. Returns no
+/// value if the model is not defined, as above, for a micro-lens that the array does not have, for
+/// numbers that are not finite, and for points so far off the axis that distortion turns back.
+/// Throws std::invalid_argument if the camera is not valid.
 PLENOCAL_API std::optional<Feature<double>> project(const Camera& camera,
                                                     const Pose& camera_from_board,
                                                     const Vector3<double>& board_point, int k,
