@@ -281,41 +281,41 @@ const NONE: &str = "";
 const SAME_SETTINGS: &str = "take and export all images with the same settings, linear in light";
 /// The remedy if two images of one camera do not coincide.
 const NOTHING_MOVED: &str =
-    "take both as the camera delivers them, with nothing moved in the camera between";
+    "take both images as the camera delivers them, and move nothing in the camera between them";
 
 issues! {
     // Files and images.
 
     /// Image files are JPEG.
     LossyCompression "lossy-compression" { images: usize, first: String } =>
-        format!("{images} image(s) are JPEG (the first is {first}): compression moves and widens edges, and biases d, fᵢ and m by some per cent"),
-        "take images without loss (PNG, TIFF)";
+        format!("{images} image(s) are JPEG (first: {first}): compression shifts and widens edges, and biases d, fᵢ and m by a few per cent"),
+        "save the images in a lossless format (PNG, TIFF)";
     /// Image files declare samples that are not linear in light.
     ImageProfile "image-profile-not-linear" { images: usize, first: String, profile: String } =>
-        format!("{images} image file(s) declare samples that are not linear in light (the first is {first}: {profile}); the samples are used unchanged"),
-        "export them without gamma and sRGB; if the samples are linear nevertheless, leave the profile out of the files";
+        format!("{images} image file(s) declare samples that are not linear in light (first: {first}, {profile}); the samples are used unchanged"),
+        "export the images without gamma or sRGB; if the samples are linear, remove the profile from the files";
     /// Image files declare that they are to be turned or mirrored.
     ImageOrientation "image-orientation" { images: usize, first: String, orientation: u64 } =>
-        format!("{images} image file(s) declare that they are to be turned or mirrored (the first is {first}: orientation {orientation}); the pixels are used as stored"),
-        "store all images, white images and boards, as the sensor delivers them, and turn none by other software";
+        format!("{images} image file(s) have an orientation tag (first: {first}, orientation {orientation}); the pixels are used as stored"),
+        "save all white images and boards in the orientation of the sensor, and do not rotate them with other software";
     /// TIFF files have several pages.
     SeveralPages "several-pages" { images: usize, first: String, pages: usize } =>
-        format!("{images} TIFF file(s) have several pages (the first is {first}, with {pages}): only the first page is read"),
-        "save the page that is meant as a file of its own";
+        format!("{images} TIFF file(s) have several pages (first: {first}, {pages} pages); only the first page is read"),
+        "save the required page as a separate file";
     /// A maker's calibration has values that are not used.
     MakerValuesUnused "maker-values-unused" { distortion: Option<String>, rotation_rad: f64 } =>
         maker_values_text(distortion.as_deref(), *rotation_rad),
-        "measure the array on a white image of the camera, and use its centres";
+        "measure the array on a white image of the camera, and use the measured centres";
     /// A file was changed while it was read.
     FileChanged "file-changed" =>
-        "was changed while it was read", "run again";
+        "the file changed during the run", "repeat the run";
     /// The pixels of an image that is stated to be grey alternate as behind a colour mosaic.
     ColorMosaic "color-mosaic" =>
-        "its pixels alternate in brightness like those behind a colour mosaic",
-        "give the name of the mosaic as the colour of the images";
+        "its pixels alternate in brightness as behind a colour mosaic",
+        "state the mosaic as the colour of the images, for example bayer-rggb";
     /// The two green pixels of a mosaic differ.
     WrongMosaic "wrong-mosaic" =>
-        "the pixels that should both be green differ", "give the name of the mosaic that the camera has";
+        "the two green pixels of the mosaic differ", "state the mosaic of the camera";
     /// The work on a part was not possible; the rest went on.
     PartFailed "part-failed" { reason: String } =>
         reason, NONE;
@@ -324,60 +324,60 @@ issues! {
 
     /// The samples are not linear in light.
     NotLinear "not-linear" { power: f64 } =>
-        format!("the samples of the white images are not linear in light: light is about their power of {power:.1} (gamma, or another tone curve)"),
-        "switch gamma, tone curves and sRGB off in the camera and its software, and take or export all images again, boards too";
+        format!("the samples of the white images are not linear in light: light ≈ sample^{power:.1} (gamma or another tone curve)"),
+        "switch off gamma, tone curves and sRGB in the camera and its software, and take or export all images again, boards included";
     /// The stated black level contradicts the darkness between micro-images.
     BlackLevelContradicted "black-level-contradicted" { stated: f64, image: String, measured: f64 } =>
-        format!("the black level is stated as {stated} grey levels, but between the micro-images of {image} samples are {measured:.2}"),
-        "correct black_level in [images], or leave it out";
+        format!("the stated black level is {stated} grey levels, but the samples between the micro-images of {image} are {measured:.2}"),
+        "correct black_level in [images], or remove it";
     /// The black level cannot be measured.
     BlackLevelUnknown "black-level-unknown" =>
-        "the black level cannot be measured, since at no f-number it is dark between the micro-images: samples are taken to be 0 without light",
-        "if they are not, give black_level in [images], the mean sample of an image with the lens covered, or add a white image at a larger f-number";
+        "the black level cannot be measured: no white image is dark between its micro-images; a black level of 0 is assumed",
+        "state black_level in [images] (mean sample of an image with the lens covered), or add a white image at a larger f-number";
     /// The radius of micro-images contradicts the f-numbers of the other white images.
     FNumberContradicted "f-number-contradicted" { f_number: f64, radius_px: f64, expected_px: f64 } =>
-        format!("at f/{f_number:.2} the radius of type 1 is {radius_px:.2} px, but the other white images predict {expected_px:.2} px"),
-        "check its f-number, and that neither contrast nor black level were changed";
+        format!("the micro-images of type 1 at f/{f_number:.2} have a radius of {radius_px:.2} px, but the other white images predict {expected_px:.2} px"),
+        "check its f-number, and that its contrast and black level are unchanged";
     /// A white image is left out, since its micro-images have the size of another f-number.
     FNumberLeftOut "f-number-left-out" { f_number: f64, looks_like: f64 } =>
-        format!("its micro-images have the size of f/{looks_like:.2} and not of f/{f_number:.2}, if the other white images are right; it is left out"),
-        "check its f-number, that it is a white image of this camera, and that neither contrast nor black level were changed";
+        format!("its micro-images have the size for f/{looks_like:.2} instead of f/{f_number:.2}, if the other white images are right; the image is not used"),
+        "check its f-number, that it is a white image of this camera, and that its contrast and black level are unchanged";
     /// The white image of the boards was taken at another aperture than stated.
     ApertureContradicted "aperture-contradicted" { f_number: f64, radius_px: f64, expected_px: f64, looks_like: f64 } =>
-        format!("at f/{f_number:.2} micro-images of type 1 should have a radius of {expected_px:.2} px, but have {radius_px:.2} px, as at about f/{looks_like:.2}"),
-        "check the f-number of the main lens (f_number), which is that of this image and of the boards";
+        format!("the micro-images of type 1 at f/{f_number:.2} should have a radius of {expected_px:.2} px, but have {radius_px:.2} px, the radius at about f/{looks_like:.2}"),
+        "check the f-number of the main lens (f_number): it applies to this image and to the boards";
     /// m and q' come from straight lines, since the light shows no discs.
     NoDiscs "no-discs" { m_error: f64, q_prime_error: f64 } =>
-        format!("the light inside the micro-images is not that of two discs, as where noise is clipped at black or a point spread (1.6 px or more) is as wide as the discs: m and q' are from straight lines through the radii, and f-numbers that are 2 % off make them {:.0} % and {:.0} % wrong", 100.0 * m_error, 100.0 * q_prime_error),
-        "expose white images longer with less gain, keep their black level above 0, and check that the images are sharp";
+        format!("the light in the micro-images does not fit two discs (noise clipped at black, or a point spread of 1.6 px or more): m and q' come from straight lines through the radii, and errors of 2 % in the f-numbers cause errors of {:.0} % in m and {:.0} % in q'", 100.0 * m_error, 100.0 * q_prime_error),
+        "expose the white images longer at a lower gain, keep their black level above 0, and check that they are sharp";
     /// The angular response of the pixels cannot be measured.
     ResponseUnknown "response-unknown" =>
-        "the fall-off of light with its angle does not show in the white images: it is taken to be cos⁴, and corners far from the axis may be off by 0.1 px",
-        "take white images that are not clipped";
+        "the fall-off of light with its angle of incidence cannot be measured: cos⁴ is assumed, and corners far from the axis may be off by 0.1 px",
+        "take white images without clipped samples";
     /// Micro-images at the corners of the image are not round.
     ObliquePupil "oblique-pupil" { narrower: f64 } =>
-        format!("micro-images at the corners are {:.0} % narrower along the direction from the middle of the image than across it: the main lens cuts oblique light, and its pupil is no disc there; distortion, field curvature and the tilt of the array can be off by several of their standard deviations", 100.0 * narrower),
-        "take boards and white images at a larger f-number, or keep boards away from the border";
+        format!("the micro-images at the corners of the image are {:.0} % narrower radially than tangentially: the main lens vignettes oblique light, and its pupil is not a disc there; distortion, field curvature and the tilt of the array can be off by several σ", 100.0 * narrower),
+        "take boards and white images at a larger f-number, or keep boards away from the border of the image";
     /// Few micro-images have the size of their lens type.
     LensTypesDisagree "lens-types-disagree" { agreement: f64 } =>
-        format!("only {:.0} % of the micro-images have the size of their lens type: the image is noisy, not white, or the types do not follow the lattice", 100.0 * agreement),
+        format!("only {:.0} % of the micro-images have the size of their lens type: the image is noisy or not white, or the types do not follow the lattice", 100.0 * agreement),
         NONE;
     /// Neighbouring micro-images differ in brightness.
     NotWhite "not-white" { uneven: f64 } =>
-        format!("{:.0} % of its micro-images are not nearly as bright as their neighbours", 100.0 * uneven),
-        "give a white image, of something bright and even right before the lens";
+        format!("{:.0} % of its micro-images differ clearly in brightness from their neighbours", 100.0 * uneven),
+        "take a white image of a bright, uniform surface directly in front of the lens";
     /// The micro-images lie off a regular lattice.
     IrregularArray "irregular-array" { rms_px: f64, pitch_px: f64 } =>
-        format!("its micro-images are {rms_px:.2} px RMS off a regular grid, {:.1} % of their pitch: arrays are more regular", 100.0 * rms_px / pitch_px),
-        "give a white image that is evenly lit, and neither processed nor put together from others";
+        format!("its micro-images deviate from a regular grid by {rms_px:.2} px RMS, {:.1} % of their pitch: arrays are more regular", 100.0 * rms_px / pitch_px),
+        "give a uniformly lit, unprocessed white image that is not a composite of several images";
     /// The lattice is longer along one direction.
     StretchedArray "stretched-array" { stretch: f64 } =>
-        format!("its lattice is {:.2} % longer along one direction than across it, as if pixels were not square", 100.0 * stretch),
-        "give images as the camera delivers them, not resized along one side";
+        format!("its lattice is {:.2} % longer along one direction than across it, as if the pixels were not square", 100.0 * stretch),
+        "give the images as the camera delivers them, and do not resize them";
     /// Most pixels of a white image are saturated.
     OverExposed "over-exposed" { full: f64 } =>
         format!("{:.0} % of its pixels are saturated", 100.0 * full),
-        "expose it less, so that edges show";
+        "reduce the exposure until the edges of the micro-images are visible";
 
     // Images of boards.
 
@@ -386,15 +386,15 @@ issues! {
         reason, NONE;
     /// The samples were rounded to few levels.
     FewLevels "few-levels" { images: usize, fewest: u32, frames: Vec<u32> } =>
-        format!("the samples of {images} image(s) of boards were rounded to few grey levels, as few as {fewest} (frames {}), which moves edges", list(frames)),
-        "export images with all bits of the camera";
+        format!("{images} board image(s) contain few grey levels, in the worst case {fewest} (frames {}): rounding shifts edges", list(frames)),
+        "export the images with the full bit depth of the camera";
     /// Few frames for a calibration.
     FewBoards "few-boards" { frames: usize } =>
         format!("{frames} frame(s) are few for a calibration"),
-        "take ten or more, at several distances and tilts";
+        "take ten frames or more, at several distances and tilts";
     /// The edges of one frame are wider than the others'.
     MotionBlur "motion-blur" { motion_px: f64 } =>
-        format!("its edges are wider than in the other frames, as if something had moved by {motion_px:.1} px in its micro-images"),
+        format!("its edges are wider than in the other frames, equivalent to a motion of {motion_px:.1} px in the micro-images"),
         "hold board and camera still, or leave the frame out if it does not fit";
     /// No frame shows all sides of the board.
     BoardNeverWhole "board-never-whole" { columns: i32, rows: i32 } =>
@@ -402,84 +402,84 @@ issues! {
         format!("check that it has {columns} x {rows} inner corners");
     /// These boards give another aperture ratio than the boards of the calibration.
     ApertureRatioOfOtherBoards "aperture-ratio-of-other-boards" { fitted_with: f64, estimated: Estimate } =>
-        format!("the aperture ratio estimated from the boards of the calibration ({fitted_with:.4}) differs from the one of these boards ({estimated})"),
+        format!("the boards of the calibration give an aperture ratio of {fitted_with:.4}, but these boards give {estimated}"),
         "take all images with the same camera at the same settings";
     /// The light of boards differs from the white image in no single way.
     UnlikeWhite "unlike-white" =>
-        "the light is spread over the micro-images in another way than in the white image: another f-number, a gamma, another black level, a shift, another size, or a white image of another camera",
+        "the distribution of light in the micro-images differs from the white image; possible causes: another f-number, a gamma, another black level, a shift, another size or another camera",
         SAME_SETTINGS;
     /// Boards have another black level than the white image.
     OtherBlackLevel "other-black-level" { difference: f64 } =>
-        format!("samples without light are {:.1} % of a bright square {} than in the white image", 100.0 * difference.abs(), if *difference > 0.0 { "higher" } else { "lower" }),
+        format!("the black level is {} than in the white image, by {:.1} % of a bright square", if *difference > 0.0 { "higher" } else { "lower" }, 100.0 * difference.abs()),
         SAME_SETTINGS;
     /// Boards have another tone curve than the white image.
     OtherToneCurve "other-tone-curve" { power: f64 } =>
-        format!("board images are not linear relative to the white image: light is about its power of {power:.2} (gamma, contrast or another tone curve)"),
+        format!("the board images have another tone curve than the white image: light ≈ sample^{power:.2} (gamma, contrast or another tone curve)"),
         SAME_SETTINGS;
     /// Boards have another aperture than the white image.
     OtherAperture "other-aperture" { ratio: f64 } =>
-        format!("micro-images have an edge as at {ratio:.3} times the f-number of the white image"),
-        "take the white image for the boards (devignetting) and the boards at one f-number";
+        format!("the edges of the micro-images correspond to {ratio:.3} times the f-number of the white image"),
+        "take the boards and their white image (devignetting) at the same f-number";
     /// Boards have another scale than the white image.
     OtherScale "other-scale" { scale: f64 } =>
-        format!("micro-images are {:.2} % {} each other than in the white image: one of them was resized, or is of another focus or camera", 100.0 * scale.abs(), if *scale < 0.0 { "farther from" } else { "nearer to" }),
+        format!("the pitch of the micro-images is {:.2} % {} than in the white image: one of the images was resized, or has another focus or camera", 100.0 * scale.abs(), if *scale < 0.0 { "larger" } else { "smaller" }),
         NOTHING_MOVED;
     /// Boards are turned against the white image.
     OtherRotation "other-rotation" { angle_deg: f64 } =>
-        format!("micro-images are turned by {angle_deg:.3} degrees against the white image"),
+        format!("the micro-images are rotated by {angle_deg:.3} degrees relative to the white image"),
         NOTHING_MOVED;
     /// Boards are shifted against the white image.
     OtherOrigin "other-origin" { shift_px: [f64; 2] } =>
-        format!("micro-images are shifted by ({}, {}) px against the white image: something has moved in the camera, or one of the images was cropped", fixed(shift_px[0], 2), fixed(shift_px[1], 2)),
-        "take white images with the camera in the state of the boards";
+        format!("the micro-images are shifted by ({}, {}) px relative to the white image: a part of the camera has moved, or one of the images was cropped", fixed(shift_px[0], 2), fixed(shift_px[1], 2)),
+        "take the white images with the camera in the same state as for the boards";
 
     // A frame without a board.
 
     /// Frame and white image differ in size.
     SizesDiffer "sizes-differ" { image_px: [usize; 2], white_px: [usize; 2] } =>
-        format!("it has {} x {} px, but the white image has {} x {}", image_px[0], image_px[1], white_px[0], white_px[1]),
+        format!("the image has {} x {} px, but the white image has {} x {} px", image_px[0], image_px[1], white_px[0], white_px[1]),
         NONE;
     /// The border cuts every micro-image.
     NoWholeMicroImage "no-whole-micro-image" =>
-        "no micro-image is whole in it: the white images are of another camera, or the array has too few micro-lenses",
+        "the image contains no complete micro-image: the white images are of another camera, or the array has too few micro-lenses",
         NONE;
     /// Micro-images are saturated in the white image.
     SaturatedWhite "saturated-white" { part: f64 } =>
         format!("{:.0} % of the micro-images are saturated in the white image", 100.0 * part),
-        "take it with a shorter exposure";
+        "take the white image with a shorter exposure";
     /// Micro-images are saturated in the frame.
     Saturated "saturated" { part: f64 } =>
-        format!("{:.0} % of the micro-images are saturated", 100.0 * part), "expose it less";
+        format!("{:.0} % of the micro-images are saturated", 100.0 * part), "reduce the exposure";
     /// Micro-images have too few pixels to fit a corner to.
     MicroImagesTooSmall "micro-images-too-small" { part: f64, pitch_px: f64 } =>
-        format!("{:.0} % of the micro-images have too few pixels with light to hold a corner: at a pitch of {pitch_px:.1} px no corners can be found in them", 100.0 * part),
+        format!("{:.0} % of the micro-images have too few bright pixels to fit a corner: a pitch of {pitch_px:.1} px is too small", 100.0 * part),
         NONE;
     /// Micro-images have no light in the white image.
     DarkWhite "dark-white" { part: f64 } =>
-        format!("{:.0} % of the micro-images are without light in the white image: it is of another camera, or no white image", 100.0 * part),
+        format!("{:.0} % of the micro-images are dark in the white image: it is of another camera, or not a white image", 100.0 * part),
         NONE;
     /// No micro-image is usable, for one reason or another.
     NothingUsable "nothing-usable" =>
-        "none of the micro-images can be used", NONE;
+        "no micro-image can be used", NONE;
     /// Bright and dark squares do not differ.
     Uniform "uniform" =>
-        "there is no board in it: all is of one brightness", NONE;
+        "the image shows no board: its brightness is uniform", NONE;
     /// Too few corners were found for a board.
     TooFewCorners "too-few-corners" { corners: usize } =>
         format!("{corners} corners are too few for a board"), NONE;
     /// Boards of this size are not searched for.
     BoardSize "board-size" { columns: i32, rows: i32, fewest: usize, most: usize } =>
-        format!("a board of {columns} x {rows} inner corners cannot be found: it needs {fewest} to {most} of them"), NONE;
+        format!("a board of {columns} x {rows} inner corners is not supported: a board has {fewest} to {most} inner corners"), NONE;
     /// Far more places look like corners than the board has.
     TooMuchTexture "too-much-texture" { places: usize, corners: usize } =>
-        format!("{places} places look like corners, but the board has {corners}: the image is full of texture"), NONE;
+        format!("{places} places look like corners, but the board has {corners}: the image contains too much texture"), NONE;
     /// No lattice has enough of the corners.
     NoLattice "no-lattice" =>
-        "the corners lie on no lattice", NONE;
+        "the corners do not form a lattice", NONE;
     /// The visible part may be one part of the board or another.
     SeveralPlaces "several-places" { corners: usize, elsewhere: usize } =>
-        format!("{corners} corners could be more than one part of the board (as many as {elsewhere} at another place)"),
-        "show more of it, or its edges, or correct its size";
+        format!("{corners} corners match more than one part of the board ({elsewhere} match another part)"),
+        "show more of the board or its edges, or correct its size";
     /// Too few of the corners in view were found.
     TooFewInView "too-few-in-view" { found: usize, in_view: usize } =>
         format!("only {found} of the {in_view} corners in view were found"), NONE;
@@ -489,15 +489,15 @@ issues! {
         "correct the size of the board";
     /// A side of the board is in view, but none of its corners was found.
     SideMissing "side-missing" { side: &'static str, columns: i32, rows: i32 } =>
-        format!("no corner of the {side} shows, though it is in view"),
-        format!("check that the board has {columns} x {rows} inner corners and is not hidden there, and that it is as sharp as the white images");
+        format!("no corner of the {side} was found, although it is in view"),
+        format!("check that the board has {columns} x {rows} inner corners, is not hidden there, and is as sharp as the white images");
     /// Many labelled corners were not found at the positions that their labels predict.
     LabelsLost "labels-lost" { lost: usize, labelled: usize } =>
-        format!("{lost} of the {labelled} labelled corners were not found at the positions that their labels predict, so the labels are probably wrong"),
+        format!("{lost} of the {labelled} labelled corners were not found at their predicted positions: the labels are probably wrong"),
         "show more of the board, or take a sharper image";
     /// Too few corners were confirmed for a pose.
     TooFewForPose "too-few-for-pose" { corners: usize, fewest: usize } =>
-        format!("only {corners} corners of the board were found again in the second pass, but a pose takes {fewest}"), NONE;
+        format!("the second pass found only {corners} corners of the board, but a pose needs {fewest}"), NONE;
     /// Another reason, in a frame with texture.
     Texture "texture" { reason: Box<Issue>, corners: usize } =>
         format!("{reason}; {corners} more corners are texture, not a board"), reason.remedy();
@@ -521,107 +521,107 @@ issues! {
         "solvePnP found no pose with the whole board in front of the focal plane of the main lens", NONE;
     /// Poses are given, but none of this frame.
     PoseNotGiven "pose-not-given" =>
-        "no pose of it is given", NONE;
+        "the poses that were given do not include this frame", NONE;
     /// Poses are given of frames that show no features.
     PosesOfNoFrame "poses-of-no-frame" { frames: Vec<u32> } =>
-        format!("poses are given of frames without features, which are not used: {}", list(frames)),
-        "check that they count frames as the features do";
+        format!("the input has poses of frames without features, which are not used: {}", list(frames)),
+        "check that poses and features number the frames in the same way";
 
     // Calibrations.
 
     /// The corners of features are numbered in another order.
     NumberedOtherwise "numbered-otherwise" { numbering: CornerNumbering, misfit: f64, row_by_row: f64, columns: i32, rows: i32 } =>
-        format!("the corners of the features seem to be numbered {}: with that numbering a board of {columns} x {rows} corners fits them to {:.0} % of their spread, with row · columns + column only to {:.0} %", numbering.words(), 100.0 * misfit, 100.0 * row_by_row),
-        format!("number corners row by row from 0: corner = row · columns + column, with {columns} columns (cluster in the file of the features); or correct columns and rows of the board");
+        format!("the features seem to number the corners {}: a board of {columns} x {rows} corners then fits to {:.0} % of their spread, but with row · columns + column only to {:.0} %", numbering.words(), 100.0 * misfit, 100.0 * row_by_row),
+        format!("number corners row by row from 0: corner = row · columns + column, with {columns} columns (cluster in the feature file); or correct columns and rows of the board");
     /// A solution was evaluated with a cost that differs from the problem beside it.
     OtherCost "other-cost" { problem: String, differences: Vec<CostDifference> } =>
         other_cost_text(problem, differences),
         "evaluate the solution with the cost of the problem";
     /// The calibration is not at a minimum.
     NotConverged "not-converged" =>
-        "it has not converged", NONE;
+        "the calibration has not converged", NONE;
     /// Micro-image centres lie far from the grid; they are kept.
     OutlyingCenters "outlying-centers" { outliers: usize, centers: usize, grid_rms_px: f64 } =>
-        format!("{outliers} of {centers} micro-image centres lie far from the grid (its RMS is {grid_rms_px:.3} px)"),
-        "they are kept; a robust loss (loss) reduces their weight";
+        format!("{outliers} of {centers} micro-image centres lie far from the grid ({grid_rms_px:.3} px RMS); all centres are used"),
+        "choose a robust loss (loss) to reduce their weight";
     /// Features without σ lie far from their projections.
     OutlyingUnweighted "outlying-unweighted" { features: usize, all: usize, scale: f64 } =>
-        format!("{features} of {all} features lie more than 10 times as far as usual from where the camera projects them: features without σ are refined again with Huber's loss, which sets in at {scale:.2} as their residuals let expect"),
-        "look for them in residuals.csv, or choose a loss";
+        format!("{features} of {all} features lie more than 10 times as far from their projections as usual; since features have no σ, the refinement is repeated with Huber's loss at a scale of {scale:.2}, estimated from the residuals"),
+        "check these features in residuals.csv, or choose a loss";
     /// The array reaches far beyond the image.
     ArrayBeyondImage "array-beyond-image" { array: [i32; 2], extent_px: [f64; 2], image_px: [u32; 2] } =>
-        format!("{} x {} micro-lenses cover {:.0} x {:.0} px, but the image has {} x {}", array[0], array[1], extent_px[0], extent_px[1], image_px[0], image_px[1]),
-        "check the size of the array: D, d, t_x and t_y are those at its middle";
+        format!("{} x {} micro-lenses cover {:.0} x {:.0} px, but the image has {} x {} px", array[0], array[1], extent_px[0], extent_px[1], image_px[0], image_px[1]),
+        "check the size of the array: D, d, t_x and t_y refer to its middle";
     /// The observations do not determine all parameters.
     Undetermined "undetermined" { rank: usize, parameters: usize, names: Vec<String> } =>
         format!("the observations determine {rank} of {parameters} parameters; not determined: {}", if names.is_empty() { "some poses".to_owned() } else { names.join(", ") }),
-        "fix parameters, or add observations that determine them: frames at other distances and tilts, every lens type";
+        "fix parameters, or add frames at other distances and tilts, with features in every lens type";
     /// The calibration of the camera in use has not converged.
     CameraNotConverged "camera-not-converged" =>
         "the calibration of this camera has not converged", "calibrate it again";
     /// The calibration of the camera in use has not determined some parameters.
     CameraUndetermined "camera-undetermined" { names: Vec<String> } =>
         format!("the calibration of this camera has not determined {}", names.join(", ")),
-        "frames at other distances and tilts would";
+        "calibrate it again with frames at other distances and tilts";
     /// The verdict on the calibration of the camera in use is "do not use".
     CameraNotToBeUsed "camera-not-to-be-used" { reasons: Vec<String> } =>
         format!("the verdict on the calibration of this camera is \"do not use\" ({})", reasons.join(", ")),
         "see its report, and calibrate it again";
     /// The micro-image centres of the camera in use differ from the white images.
     CentersContradicted "centers-contradicted" { rms_px: f64, shift_px: [f64; 2], pitch_px: f64 } =>
-        format!("the micro-image centres of the camera are {rms_px:.2} px RMS off those of the white images, of which ({}, {}) px are a shift", fixed_signed(shift_px[0], 2), fixed_signed(shift_px[1], 2)),
-        "use the camera with images of the same camera, neither cropped, turned nor resized since its calibration; if array or sensor have moved, calibrate it again";
+        format!("the micro-image centres of the camera and of the white images differ by {rms_px:.2} px RMS, including a shift of ({}, {}) px", fixed_signed(shift_px[0], 2), fixed_signed(shift_px[1], 2)),
+        "use images of the calibrated camera, and do not crop, rotate or resize them; if array or sensor have moved, calibrate it again";
     /// The blur radii of the lens types differ between the camera in use and the white images.
     LensTypesContradicted "lens-types-contradicted" { white_images_px: Vec<f64>, camera_px: Vec<f64>, permuted: Option<Vec<usize>> } =>
         lens_types_text(white_images_px, camera_px, permuted.as_deref()),
-        "use the camera with white images of the same camera, whose lens types are counted in the same order";
+        "use white images of the calibrated camera, with its lens types in the same order";
     /// The camera is used at another f-number than in its calibration.
     OtherFNumber "other-f-number" { camera: f64, boards: f64 } =>
-        format!("the camera was calibrated at f/{camera:.2}, and is used at f/{boards:.2}: with spherical aberration, F and the blur change with the aperture"),
-        "calibrate it at the f-number of the images, or compare both on boards";
+        format!("the camera was calibrated at f/{camera:.2}, but is used at f/{boards:.2}: spherical aberration makes F and the blur depend on the aperture"),
+        "calibrate it at the f-number of the images, or compare both f-numbers on boards";
     /// The blur radii of boards differ from the fixed camera.
     BlurContradicted "blur-contradicted" { rms_std_devs: f64 } =>
-        format!("the blur radii of the boards are {rms_std_devs:.0} σ RMS off those of the camera"),
-        "check that the camera is of these images and that its focal lengths f_1, f_2 … are in the order of the lens types";
+        format!("the blur radii of the boards and of the camera differ by {rms_std_devs:.0} σ RMS"),
+        "check that these images are of this camera, and that f_1, f_2 … are in the order of the lens types";
     /// Boards fit a fixed camera best with squares of another size.
     SquaresContradicted "squares-contradicted" { fitted_mm: Estimate, square_mm: f64 } =>
-        format!("the boards fit the camera best with squares of {fitted_mm} mm, and not of {square_mm} mm"),
+        format!("the boards fit the camera best with squares of {fitted_mm} mm instead of {square_mm} mm"),
         "check the size of the squares (square_mm), and that the lens is focused as in the calibration of the camera";
     /// Rays or points lie far from the boards that the camera was calibrated with.
     BeyondBoards "beyond-boards" { beyond: usize, all: usize, near_mm: f64, far_mm: f64 } =>
-        format!("{} far nearer or further than the boards of the calibration ({near_mm:.0} to {far_mm:.0} mm): the errors of the camera grow there", if *all == 1 { "the distance is".to_owned() } else { format!("{beyond} of {all} distances are") }),
-        "see the σ by distance in the report of the calibration; boards at such distances would help";
+        format!("{} far outside the range of the calibration boards ({near_mm:.0} to {far_mm:.0} mm): the errors of the camera grow there", if *all == 1 { "the distance is".to_owned() } else { format!("{beyond} of {all} distances are") }),
+        "see σ by distance in the report of the calibration, or calibrate with boards at such distances";
     /// Virtual points name a micro-lens outside the array.
     OutsideArray "outside-array" { points: usize, first: usize } =>
-        format!("{points} point(s) name a micro-lens outside the array (the first is point {first}) and have no metric point"),
+        format!("{points} virtual point(s) name a micro-lens outside the array (first: point {first}) and have no metric point"),
         "check that k and l count from 0 as in centers.csv of this camera";
     /// Virtual points lie far from the micro-image with their index.
     FarFromMicroImage "far-from-micro-image" { points: usize, first: usize, pitch_px: f64 } =>
-        format!("{points} point(s) lie more than a pitch ({pitch_px:.1} px) from the centre of the micro-image whose index they have (the first is point {first})"),
-        "check that k, l, u and v are of this camera, in px of the raw image, and not exchanged";
+        format!("{points} virtual point(s) lie more than a pitch ({pitch_px:.1} px) from the centre of their micro-image (k, l) (first: point {first})"),
+        "check that k, l, u and v are of this camera, in px of the raw image, and not swapped";
     /// Virtual depths have a sign that images of the camera cannot have.
     DepthsOfOtherSign "depths-of-other-sign" { points: usize, first: usize, galilean: bool } =>
-        format!("{points} virtual depth(s) are not {} (the first is of point {first}), but the main lens of this {} camera makes its images {} the array", if *galilean { "positive" } else { "negative" }, if *galilean { "Galilean" } else { "Keplerian" }, if *galilean { "behind" } else { "before" }),
-        "check the sign: virtual depths count from the array, and are positive behind it";
+        format!("{points} virtual depth(s) are not {} (first: point {first}), but the main lens of this {} camera forms its images {} the array", if *galilean { "positive" } else { "negative" }, if *galilean { "Galilean" } else { "Keplerian" }, if *galilean { "behind" } else { "in front of" }),
+        "check the sign: virtual depths are distances from the array, positive behind it";
     /// The σ of points is not known, since no σ of virtual depths is stated.
     PointsWithoutSigma "points-without-sigma" =>
         "the input states no σ of virtual depths: the points have no σ",
-        "give it in a column std_nu, or one for all points";
+        "add a column std_nu, or state one σ for all points";
     /// The features of a corner contradict each other.
     CornersScatter "corners-scatter" { ratio: f64 } =>
         format!("the features of a corner scatter {ratio:.1} times as much about its point as their σ predicts"),
         "check that the features are of this camera, and that their indices count from 0 as in centers.csv";
     /// The arrays of two cameras are counted in different ways.
     CountedOtherwise "counted-otherwise" { first: String, second: String } =>
-        format!("the micro-lenses of the first camera are counted on {first}, those of the second on {second}: the cameras are compared by place, but features and centres of one do not belong to the other"),
+        format!("the two cameras number their micro-lenses differently, the first on {first}, the second on {second}: they are compared by position, but features and centres of one camera do not apply to the other"),
         NONE;
     /// Residuals are far larger than noise.
     BadFit "bad-fit" { rms_px: f64, micro_image_pitch_px: f64 } =>
-        format!("the residuals of the features are {rms_px:.2} px RMS, a large part of a micro-image ({micro_image_pitch_px:.1} px): noise alone is far smaller"),
+        format!("the residuals of the features are {rms_px:.2} px RMS, a large part of the micro-image pitch ({micro_image_pitch_px:.1} px) and far above noise"),
         "check the board (columns, rows, square_mm), the sign of rho and the frames with large residuals";
     /// The camera does not explain the blur radii.
     UnexplainedBlur "unexplained-blur" { rms_px: f64, spread_px: f64 } =>
-        format!("the residuals of the blur radii are {rms_px:.3} px RMS, though the radii themselves spread by only {spread_px:.3} px: the camera does not explain them"),
+        format!("the residuals of the blur radii are {rms_px:.3} px RMS, but the radii vary only by {spread_px:.3} px: the camera does not explain them"),
         "check the sign of rho, the order of q', and that both belong to the same aperture ratio";
     /// The observations contradict a prior.
     PriorContradicted "prior-contradicted" { quantity: String, unit: &'static str, prior: Estimate, result: f64, source: String } =>
@@ -629,42 +629,42 @@ issues! {
         prior_remedy(quantity);
     /// m of the white images and of the camera differ.
     SlopeContradicted "slope-contradicted" { error: f64 } =>
-        format!("|m| of the white images is {:.1} % off that of the camera: F, d and distances may be as much off", 100.0 * error.abs()),
-        "check the f-numbers (f_number), the size of a pixel (pixel_size_mm) and of the squares (square_mm)";
+        format!("|m| of the white images and of the camera differ by {:.1} %: F, d and distances may be wrong by as much", 100.0 * error.abs()),
+        "check the f-numbers (f_number), the pixel size (pixel_size_mm) and the size of the squares (square_mm)";
     /// Two lens types give different aperture ratios.
     ApertureRatiosDiffer "aperture-ratios-differ" { lens_types: [usize; 2], estimated: [Estimate; 2] } =>
-        format!("the edges of lens type {} give an aperture ratio of {:.3} ± {:.3}, those of type {} {:.3} ± {:.3}: the camera has one for all, so the focal lengths of both types are off", lens_types[0], estimated[0].value, estimated[0].std_dev, lens_types[1], estimated[1].value, estimated[1].std_dev),
-        "check the white images, and that lens types are in the same order everywhere";
+        format!("the edges of lens type {} give an aperture ratio of {:.3} ± {:.3}, but type {} gives {:.3} ± {:.3}: all types have one ratio, so the focal lengths of both are biased", lens_types[0], estimated[0].value, estimated[0].std_dev, lens_types[1], estimated[1].value, estimated[1].std_dev),
+        "check the white images, and that all files have the lens types in the same order";
     /// The board is bent so far that it should be replaced.
     WarpedBoard "warped-board" { bend_mm: f64, diagonal_mm: f64, estimated: bool } =>
-        format!("the board is bent by {bend_mm:.2} mm, {:.1} % of its diagonal: its shape is {}, but as a smooth bend that is the same in all frames", 100.0 * bend_mm / diagonal_mm, if *estimated { "estimated with the camera" } else { "taken as known" }),
-        "take a flatter board";
+        format!("the board is bent by {bend_mm:.2} mm, {:.1} % of its diagonal; its shape is {}, as a smooth bend that is the same in all frames", 100.0 * bend_mm / diagonal_mm, if *estimated { "estimated with the camera" } else { "taken as known" }),
+        "use a flatter board";
     /// The squares of the board are oblong.
     StretchedBoard "stretched-board" { aspect: f64 } =>
-        format!("the squares of the board are {:.1} % longer along {}: the mean of both sides is used, and an error in it scales F, d and all distances", 100.0 * aspect.abs(), if *aspect > 0.0 { "rows than along columns" } else { "columns than along rows" }),
-        "measure both sides";
+        format!("the squares of the board are {:.1} % longer along {}: the mean of both sides is used, and an error of this mean scales F, d and all distances", 100.0 * aspect.abs(), if *aspect > 0.0 { "rows than along columns" } else { "columns than along rows" }),
+        "measure both sides of the squares";
     /// The shape of the board could not be found, and it is taken to be flat.
     BoardShapeNotFound "board-shape-not-found" { reason: String } =>
-        format!("the shape of the board could not be estimated, and it is taken to be flat: {reason}"),
-        "if you know that it is flat, say so; else check it, and the frames with large residuals";
+        format!("the shape of the board could not be estimated, and a flat board is assumed: {reason}"),
+        "if the board is flat, state it; otherwise check the board and the frames with large residuals";
     /// The shape of the board was found once, and refining it further failed.
     BoardShapeNotSettled "board-shape-not-settled" { reason: String } =>
-        format!("the board is not flat, and has the shape of a first trial, with priors that hold it to be flat; a second refinement without them failed: {reason}"),
-        "measure the board, and state its shape";
+        format!("the board is not flat; its shape is from a refinement with priors on a flat board, since a second one without these priors failed: {reason}"),
+        "measure the shape of the board, and state it";
     /// The main lens is focused at another distance than stated.
     FocusDistance "focus-distance" { stated_mm: f64, by_boards_mm: f64 } =>
-        format!("the boards show that the lens is focused at about {by_boards_mm:.0} mm and not at {stated_mm} mm: the calibration starts from there"),
+        format!("the boards show a focus distance of about {by_boards_mm:.0} mm instead of {stated_mm} mm; the calibration starts from it"),
         "check the focus distance (focus_distance_mm), the focal length (focal_length_mm) and the size of the squares (square_mm)";
     /// All boards are nearly parallel to the image plane.
     FrontoParallel "fronto-parallel" { largest_tilt_deg: f64 } =>
-        format!("all boards are fronto-parallel (tilted by at most {largest_tilt_deg:.1} degrees): the focal length F and the distance of the boards can hardly be separated"),
+        format!("all boards are fronto-parallel (tilted by at most {largest_tilt_deg:.1} degrees): F and the distances of the boards can hardly be separated"),
         "add boards tilted by 20 to 40 degrees";
 
     // Residuals and coverage.
 
     /// Residuals are larger than the detection predicts.
     Scatter "scatter" { ratio: f64 } =>
-        format!("residuals are {ratio:.1} times as large as the detection predicts: the images may have been moved, blurred, sharpened, resized (then pixel_size_mm is another) or taken at another f-number, or frames are not of one camera at one focus"),
+        format!("the residuals are {ratio:.1} times as large as the detection predicts; possible causes: images that are moved, blurred, sharpened, resized (pixel_size_mm) or at another f-number, or frames of several cameras or focus settings"),
         NONE;
     /// A frame does not fit the others.
     OutlyingFrame "outlying-frame" { frame: u32, residual_ratio: f64, parameter: Option<String>, std_devs: Option<f64>, unexpected: Option<f64> } =>
@@ -672,34 +672,34 @@ issues! {
         format!("exclude frame {frame}, or find out what moved");
     /// Features lie far from their projections.
     OutlyingFeatures "outlying-features" { outlying: usize, all: usize } =>
-        format!("{outlying} of {all} features lie far from where the camera projects them"), NONE;
+        format!("{outlying} of {all} features lie far from their projections"), NONE;
     /// The residuals have a pattern over the image.
     ImagePattern "image-pattern" { part: f64 } =>
-        format!("the residuals have a pattern over the image, {:.0} % of their size: the model lacks something, or the board is not flat", 100.0 * part), NONE;
+        format!("the residuals have a systematic pattern over the image, {:.0} % of their size: the model is incomplete, or the board is not flat", 100.0 * part), NONE;
     /// The residuals grow with the distance from the centre of the micro-image.
     MicroImagePattern "micro-image-pattern" { part: f64 } =>
-        format!("the residuals change with the distance from the centre of the micro-image, by {:.0} % of their size: the corners are biased, as where boards are blurred, sharpened or taken at another f-number than the white images", 100.0 * part), NONE;
+        format!("the residuals vary with the distance from the centre of the micro-image, by {:.0} % of their size: the corners are biased, as for boards that are blurred, sharpened or at another f-number than the white images", 100.0 * part), NONE;
     /// One lens type has larger residuals than another.
     LensTypePattern "lens-type-pattern" { ratio: f64 } =>
-        format!("the residuals of one lens type are {ratio:.1} times those of another"), NONE;
+        format!("the residuals of one lens type are {ratio:.1} times as large as of another"), NONE;
     /// Few frames.
     FewFrames "few-frames" { frames: usize } =>
-        format!("with only {frames} frame(s) the errors that all features of a frame share cannot be estimated: σ treats all observations as independent"), NONE;
+        format!("{frames} frame(s) are too few to estimate the errors that all features of a frame share: σ treats all observations as independent"), NONE;
     /// Few tilted boards.
     FewTilts "few-tilts" { tilted: usize, frames: usize } =>
-        format!("only {tilted} of {frames} boards are tilted by more than 10 degrees: F and the distances are hardly told apart"), NONE;
+        format!("only {tilted} of {frames} boards are tilted by more than 10 degrees: F and the distances of the boards can hardly be separated"), NONE;
     /// All boards at nearly the same distance.
     OneDistance "one-distance" { ratio: f64 } =>
         format!("all boards are at nearly the same distance (the largest is {ratio:.2} times the smallest)"), NONE;
     /// Boards in a part of the image only.
     Coverage "coverage" { part: f64 } =>
-        format!("boards cover {:.0} % of the image", 100.0 * part), NONE;
+        format!("the boards cover only {:.0} % of the image", 100.0 * part), NONE;
     /// One frame has most of the information on a parameter.
     DominantFrame "dominant-frame" { frame: u32, parameter: String, share: f64 } =>
         format!("frame {frame} alone carries {:.0} % of the information on {parameter}", 100.0 * share), NONE;
     /// A parameter has a large σ.
     Uncertain "uncertain" { parameter: String, relative: f64 } =>
-        format!("{parameter} is known to {:.1} % only", 100.0 * relative), NONE;
+        format!("σ of {parameter} is {:.1} % of its value", 100.0 * relative), NONE;
 
     // Evaluations.
 
@@ -708,18 +708,18 @@ issues! {
         "the poses did not converge", NONE;
     /// No frame has enough points for a reconstruction.
     TooFewPoints "too-few-points" =>
-        "no frame has enough points", NONE;
+        "no frame has enough points for a reconstruction", NONE;
     /// A model without some parameters did not converge.
     ModelNotConverged "model-not-converged" =>
-        "the calibration has not converged; its numbers are those where it stopped", NONE;
+        "the calibration has not converged; its results are from the last iteration", NONE;
     /// The moved board went the other way.
     StepsReversed "steps-reversed" =>
-        "the board of the translation moved the other way: step_mm is negative towards the camera",
-        "change its sign, or the order of the images";
+        "the board of the translation moved opposite to the sign of step_mm, which is negative towards the camera",
+        "change the sign of step_mm, or the order of the images";
     /// One step of the moved board differs from the others.
     StepUneven "step-uneven" { from: u32, to: u32, ratio: f64 } =>
-        format!("the step of the translation from frame {from} to {to} is {ratio:.2} times as long as the others"),
-        "an image is missing, there twice, or out of order";
+        format!("the step of the translation from frame {from} to {to} is {ratio:.2} times as long as the other steps"),
+        "check whether an image is missing, repeated, or out of order";
     /// All steps of the moved board contradict the size of the squares.
     StepScale "step-scale" { ratio: f64, step_mm: f64, square_mm: f64 } =>
         step_scale_text(*ratio, *step_mm, *square_mm),
@@ -731,10 +731,11 @@ fn lens_types_text(white_px: &[f64], camera_px: &[f64], permuted: Option<&[usize
         |radii: &[f64]| radii.iter().map(|r| format!("{r:.2}")).collect::<Vec<_>>().join(", ");
     let order = permuted.map_or(String::new(), |order| {
         let order: Vec<String> = order.iter().map(ToString::to_string).collect();
-        format!(": its types {} correspond to types 1, 2 … of the white images", order.join(", "))
+        let order = order.join(", ");
+        format!(": types {order} of the camera correspond to types 1, 2 … of the white images")
     });
     format!(
-        "the blur radii of the lens types in the white images are {} px, those of the camera {} px{order}",
+        "the blur radii of the lens types are {} px in the white images, but {} px in the camera{order}",
         row(white_px),
         row(camera_px)
     )
@@ -743,7 +744,7 @@ fn lens_types_text(white_px: &[f64], camera_px: &[f64], permuted: Option<&[usize
 fn other_cost_text(problem: &str, differences: &[CostDifference]) -> String {
     let of = |d: &CostDifference| format!("{} in the problem, {} here", d.problem, d.here);
     let all: Vec<String> = differences.iter().map(of).collect();
-    format!("the cost differs from that of the problem in {problem}: {}", all.join("; "))
+    format!("the cost differs from the problem in {problem}: {}", all.join("; "))
 }
 
 /// Number of frames above which the others are only counted.
@@ -769,7 +770,7 @@ fn prior_text(
     let shown = Estimate::new(result * factor, prior.std_dev);
     let (result, _) = shown.text();
     format!(
-        "{quantity} is {result} {unit}, but its prior is {prior} {unit} ({source}): it is {:+.1} σ off",
+        "{quantity} is {result} {unit}, but its prior is {prior} {unit} ({source}): they differ by {:+.1} σ",
         (shown.value - prior.value) / prior.std_dev
     )
 }
@@ -778,22 +779,22 @@ fn prior_text(
 fn prior_remedy(quantity: &str) -> &'static str {
     match quantity {
         "F" | "D" => {
-            "check the focal length (focal_length_mm), the size of the squares (square_mm) and of a pixel \
-             (pixel_size_mm), and the position of the exit pupil if you have stated it"
+            "check the focal length (focal_length_mm), the size of the squares (square_mm), the \
+             pixel size (pixel_size_mm) and, if stated, the position of the exit pupil"
         }
         "m" => {
-            "check the f-numbers of the white images (f_number), the size of a pixel (pixel_size_mm) and of the \
-             squares (square_mm), and the position of the exit pupil if you have stated it"
+            "check the f-numbers of the white images (f_number), the pixel size (pixel_size_mm), \
+             the size of the squares (square_mm) and, if stated, the position of the exit pupil"
         }
         "u0" | "v0" => {
-            "check whether the images are cropped; with few tilted boards, or corners that are biased \
-             towards the border, the axis drifts off"
+            "check whether the images are cropped; few tilted boards, or biased corners towards \
+             the border, also shift the principal point"
         }
         "tilt_u" | "tilt_v" => {
-            "check that the white images are of this camera, and the position of the exit pupil if you have \
-             stated it; else the corners are biased towards one side of the image"
+            "check that the white images are of this camera and, if stated, the position of the \
+             exit pupil; otherwise the corners are biased towards one side of the image"
         }
-        _ => "check the value, its unit, and whether it is of this camera and setting",
+        _ => "check the value, its unit, and whether it applies to this camera and setting",
     }
 }
 
@@ -813,25 +814,25 @@ fn outlying_frame_text(
     let mut reasons = Vec::new();
     if larger {
         reasons.push(format!(
-            "its residuals are {residual_ratio:.1} times theirs, as if board or camera had moved"
+            "its residuals are {residual_ratio:.1} times as large, as if board or camera had moved"
         ));
     }
     if let Some(((parameter, std_devs), unexpected)) = influence {
         reasons.push(if std_devs > MOST_STD_DEVS {
-            format!("without it {parameter} is undetermined")
+            format!("without it {parameter} is not determined")
         } else {
             format!(
-                "without it {parameter} moves by {std_devs:.1} σ, {unexpected:.0} times as much as the others predict"
+                "without it {parameter} changes by {std_devs:.1} σ, {unexpected:.0} times as much as the other frames predict"
             )
         });
     }
-    format!("it does not fit the others: {}", reasons.join(", and "))
+    format!("it does not fit the other frames: {}", reasons.join(", and "))
 }
 
 fn step_scale_text(ratio: f64, step_mm: f64, square_mm: f64) -> String {
     format!(
-        "the known steps of the translation come out {ratio:.3} times as long as stated: either the squares of the board \
-         are {:.4} mm and not {square_mm} mm (square_mm), or the step is {:.4} mm and not {step_mm} mm (step_mm)",
+        "the measured steps of the translation are {ratio:.3} times as long as stated: either the squares are {:.4} mm \
+         instead of {square_mm} mm (square_mm), or the step is {:.4} mm instead of {step_mm} mm (step_mm)",
         square_mm / ratio,
         step_mm * ratio
     )
@@ -840,10 +841,10 @@ fn step_scale_text(ratio: f64, step_mm: f64, square_mm: f64) -> String {
 fn maker_values_text(distortion: Option<&str>, rotation_rad: f64) -> String {
     let distortion = distortion.map(|function| format!("a distortion ({function})"));
     let rotation = (rotation_rad != 0.0)
-        .then(|| format!("a rotation beside that of the lattice ({:.3} mrad)", 1e3 * rotation_rad));
+        .then(|| format!("a rotation in addition to the lattice ({:.3} mrad)", 1e3 * rotation_rad));
     let values: Vec<String> = distortion.into_iter().chain(rotation).collect();
     format!(
-        "the file states {}, which are not used: centres are off, the more the further they are from the middle of the image",
+        "the file states {}, which are not used: the errors of the centres grow with the distance from the middle of the image",
         values.join(" and ")
     )
 }
@@ -902,15 +903,15 @@ mod tests {
 
     #[test]
     fn frames_are_described_by_what_is_remarkable_about_them() {
-        let moved = "its residuals are 2.0 times theirs, as if board or camera had moved";
+        let moved = "its residuals are 2.0 times as large, as if board or camera had moved";
         let text = |ratio, std_devs: Option<f64>| {
             outlying_frame_text(ratio, std_devs.map(|_| "F"), std_devs, std_devs.map(|_| 6.2))
         };
-        let begins = "it does not fit the others: ";
+        let begins = "it does not fit the other frames: ";
         assert_eq!(text(2.0, None), format!("{begins}{moved}"));
-        let without = "without it F moves by 7.0 σ, 6 times as much as the others predict";
+        let without = "without it F changes by 7.0 σ, 6 times as much as the other frames predict";
         assert_eq!(text(0.7, Some(7.0)), format!("{begins}{without}"));
         assert_eq!(text(2.0, Some(7.0)), format!("{begins}{moved}, and {without}"));
-        assert_eq!(text(1.0, Some(1e9)), format!("{begins}without it F is undetermined"));
+        assert_eq!(text(1.0, Some(1e9)), format!("{begins}without it F is not determined"));
     }
 }

@@ -62,7 +62,7 @@ mod tests {
         assert_eq!(told(narrow, of(0.945, 0.004)), None);
         let finding = told(narrow, of(0.96, 0.004)).unwrap();
         assert_eq!(finding.code(), "aperture-ratio-of-other-boards");
-        assert!(finding.to_string().contains("(0.9600 ± 0.0040)"), "{finding}");
+        assert!(finding.to_string().contains("give 0.9600 ± 0.0040"), "{finding}");
         assert_eq!(of_other_boards(&narrow, &micro_images(16.0)), None);
     }
 }

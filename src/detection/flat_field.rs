@@ -276,7 +276,7 @@ pub(super) fn unlike(all: &[ComparedFrame]) -> Vec<Finding> {
     {
         let values: Vec<Vector> = of_field(&found, field).collect();
         let middle = Vector::from_fn(|row, _| median(values.iter().map(|v| v[row])).unwrap_or(0.0));
-        let boards = Subject::Part("boards are not like the white image".to_owned());
+        let boards = Subject::Part("boards differ from the white image".to_owned());
         return vec![Finding::caution(all[0].2.issue(field, &middle)).about(boards)];
     }
     if all.len() < FEWEST_FRAMES {

@@ -136,7 +136,7 @@ fn an_image_that_is_replaced_while_it_is_read_is_read_again() {
         replaced(&place);
         let fault = Fault { call: "open", at, path: "calibration-01.png", error: "", hook };
         let first = place.run(&fault);
-        noticed += u64::from(said(&first).contains("was changed while it was read"));
+        noticed += u64::from(said(&first).contains("the file changed during the run"));
         let again = place.run(&NONE);
         assert!(again.status.success(), "{}", said(&again));
         let found = fs::read(place.path("results/boards-calibration/features.csv")).unwrap();

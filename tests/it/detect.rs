@@ -271,7 +271,7 @@ fn a_white_image_at_another_f_number_is_rejected() {
     set.replace("\"devignetting.png\"", "\"whites/white-4-n-16.00.png\"");
     on_project("detect", &set.path("set"), &set.path("out"))
         .code(1)
-        .stderr(contains("as at about f/16").and(contains("no frame shows the board")));
+        .stderr(contains("the radius at about f/16").and(contains("no frame shows the board")));
 }
 
 /// The message does not blame the frames for over-exposure.

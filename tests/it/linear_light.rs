@@ -138,7 +138,7 @@ fn gamma_is_noticed() {
             Ok(found) => texts(&found.findings),
             Err(error) => error.to_string(),
         };
-        let power = told.split("light is about their power of ").nth(1).expect(&told);
+        let power = told.split("light ≈ sample^").nth(1).expect(&told);
         let power: f64 = power.split(' ').next().unwrap().parse().unwrap();
         // The first order, in one decimal.
         assert!((power - gamma).abs() < 0.11, "{gamma}: {told}");

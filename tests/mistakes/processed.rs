@@ -174,7 +174,7 @@ fn placed() -> Vec<Mistake> {
         all.push(change(
             &format!("turned by {degrees} degrees"),
             Of::Boards,
-            Told(&["centre", "turned", "corners"]),
+            Told(&["centre", "rotated", "corners"]),
             move |image| pixels::turned(image, degrees),
         ));
     }
@@ -237,7 +237,7 @@ fn resized() -> Vec<Mistake> {
     }));
     for (name, of) in [("mirrored", Of::All), ("mirrored", Of::Boards), ("mirrored", Of::Whites)] {
         let expected =
-            if of == Of::All { Right } else { Told(&["centre", "corners", "mirrored", "turned"]) };
+            if of == Of::All { Right } else { Told(&["centre", "corners", "mirrored", "rotated"]) };
         all.push(change(name, of, expected, imageops::flip_horizontal));
     }
     all.push(change("upside down", Of::All, Right, imageops::rotate180));
