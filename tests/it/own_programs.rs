@@ -185,9 +185,9 @@ fn an_evaluation_by_another_cost_says_in_what_it_differs() {
 
     // With the same cost there is nothing to tell.
     let same = [&[project.to_str().unwrap()][..], &options].concat();
-    evaluated(folder.path(), &same).success().stdout(
-        contains("This is a minimum.").and(contains("differs from the problem").not()),
-    );
+    evaluated(folder.path(), &same)
+        .success()
+        .stdout(contains("This is a minimum.").and(contains("differs from the problem").not()));
 }
 
 #[test]
