@@ -61,7 +61,7 @@ pub enum Error {
     },
     /// A calibration without micro-image centres.
     #[error(
-        "there are no micro-image centres: without them the position of the array is not determined"
+        "there are no micro-image centres, which are needed to determine the position of the array"
     )]
     NoCenters,
     /// A part of the input that was not given.
@@ -71,7 +71,7 @@ pub enum Error {
         missing: Input,
     },
     /// Only poses were requested, but the camera is given by its datasheet.
-    #[error("poses alone need a calibrated camera, but this is a datasheet")]
+    #[error("poses alone need a calibrated camera, but the input is a datasheet")]
     NotCalibrated,
 }
 

@@ -135,13 +135,13 @@ pub fn compare_cameras(
 ) -> Result<CameraComparison> {
     if first.sensor != second.sensor {
         return Err(Error::invalid(format!(
-            "the first camera has a sensor of {}, the second one of {}",
+            "the first camera has a sensor of {}, but the second has one of {}",
             first.sensor, second.sensor
         )));
     }
     if distances_mm.len() > MOST_DISTANCES {
         return Err(Error::invalid(format!(
-            "cameras are compared at up to {MOST_DISTANCES} distances, and these are {}",
+            "cameras are compared at up to {MOST_DISTANCES} distances, but {} were given",
             distances_mm.len()
         )));
     }
@@ -153,7 +153,8 @@ pub fn compare_cameras(
     let alike = second.with_array_of(first).filter(|second| second.lens_types() == types);
     let second = alike.ok_or_else(|| {
         Error::invalid(format!(
-            "the first camera has {} and {types} lens type(s), the second {} and {}: they are not of one camera",
+            "the first camera has {} and {types} lens type(s), but the second has {} and {}: they \
+             belong to different cameras",
             first.lattice,
             second.lattice,
             second.lens_types()
@@ -165,7 +166,7 @@ pub fn compare_cameras(
     }
     let all: Vec<(MicroPixel, Point3<f64>)> = points.iter().flatten().copied().collect();
     if all.len() < FEWEST {
-        return Err(Error::invalid("the first camera sees too few points at these distances"));
+        return Err(Error::invalid("the first camera images too few points at these distances"));
     }
     let raw = shifts(&second, &Isometry3::identity(), &all)?;
     let motion = motion(&second, &all)?;
@@ -290,7 +291,8 @@ fn motion(
     });
     let refinement = refined.map_err(|e| {
         Error::invalid(format!(
-            "the second camera does not image the points that the first sees at these distances: {e}"
+            "the second camera does not image the points that the first camera images at these \
+             distances: {e}"
         ))
     })?;
     Ok(refinement.poses[0])

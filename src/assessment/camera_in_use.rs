@@ -45,7 +45,8 @@ fn refuse_other(
 ) -> Result<()> {
     let others = |what: &str, camera: String, images: String| {
         Err(Error::invalid(format!(
-            "the camera has {what} {camera}, the project and its white images {images}: they belong to different cameras"
+            "the camera has {what} {camera}, but the project and its white images have {images}: \
+             they belong to different cameras"
         )))
     };
     if camera.sensor != sheet.sensor {

@@ -126,8 +126,8 @@ pub fn foldable_frames(
         observations.frames().into_iter().filter(|f| !excluded.contains(f)).collect();
     if folds < 2 || frames.len() < folds {
         return Err(Error::invalid(format!(
-            "{} frames cannot be divided into {folds} folds: take two folds or more, and not more than \
-             there are frames",
+            "{} frames cannot be divided into {folds} folds: use at least two folds, and at most \
+             one for each frame",
             frames.len()
         )));
     }

@@ -335,24 +335,25 @@ fn check(
     let frames = calibration.poses.len();
     if groups.is_empty() {
         return Err(Error::invalid(
-            "exit pupil, field curvature and distortion are all fixed: there are no models to compare",
+            "exit pupil, field curvature and distortion are all fixed: free one of them to compare \
+             models",
         ));
     }
     if !calibration.converged {
         return Err(Error::invalid(
-            "models are not compared, since the calibration has not converged",
+            "models are not compared, because the calibration has not converged",
         ));
     }
     if frames < MIN_FRAMES {
         return Err(Error::invalid(format!(
-            "models are not compared: {frames} frame(s) do not show what is accident; take {MIN_FRAMES} \
-             or more"
+            "models are not compared: {frames} frame(s) are too few for a significant difference; \
+             take at least {MIN_FRAMES}"
         )));
     }
     if folds < 2 || folds > frames {
         return Err(Error::invalid(format!(
-            "{frames} frames cannot be divided into {folds} folds: take two folds or more, and not more \
-             than there are frames"
+            "{frames} frames cannot be divided into {folds} folds: use at least two folds, and at \
+             most one for each frame"
         )));
     }
     Ok(())

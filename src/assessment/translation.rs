@@ -75,16 +75,16 @@ impl Displacements {
     pub fn of(distances_mm: &[(u32, f64)], step_mm: f64) -> Result<Self> {
         if !(step_mm.is_finite() && step_mm != 0.0) {
             return Err(Error::invalid(format!(
-                "the step of the translation is {step_mm} mm; it has to be finite and not 0"
+                "the step of the translation is {step_mm} mm, but has to be finite and not 0"
             )));
         }
         let mut sorted = distances_mm.to_vec();
         sorted.sort_by_key(|&(frame, _)| frame);
         let (Some(&first), Some(&last)) = (sorted.first(), sorted.last()) else {
-            return Err(Error::invalid("there are no frames with a distance"));
+            return Err(Error::invalid("no frame has a known distance"));
         };
         if sorted.len() < 2 {
-            return Err(Error::invalid("a displacement needs two frames, but there is only one"));
+            return Err(Error::invalid("a displacement needs two frames, but only one was given"));
         }
         let side = ((last.1 - first.1) * step_mm).signum();
         let between = |a: (u32, f64), b: (u32, f64)| Displacement {

@@ -47,7 +47,8 @@ pub fn parameter_errors(
 ) -> Result<Vec<ParameterError>> {
     let truth = truth.with_array_of(estimate).ok_or_else(|| {
         Error::invalid(format!(
-            "the true camera has {}, the estimated one {}: they are not the same camera",
+            "the true camera has {}, but the estimated camera has {}: they belong to different \
+             cameras",
             truth.lattice, estimate.lattice
         ))
     })?;

@@ -143,8 +143,9 @@ impl BlurMeasurement {
         let Some(aperture_ratio) = in_pixels.aperture_ratio(all.iter()) else { return Ok(None) };
         check_aperture_ratio(&aperture_ratio).map_err(|error| {
             Error::invalid(format!(
-                "the widths of edges do not fit the internal parameters: {error}. Check that both are of the same \
-                 camera, or leave the columns blur, std_blur and aperture_ratio of the features out"
+                "the widths of edges do not fit the internal parameters: {error}. Check that both \
+                 are of the same camera, or remove the columns blur, std_blur and aperture_ratio \
+                 from the features"
             ))
         })?;
         let of_type = |lens_type: usize| {

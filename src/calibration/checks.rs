@@ -16,7 +16,7 @@ pub(super) fn without_frames(
     let known = observations.frames();
     if let Some(frame) = frames.iter().find(|frame| !known.contains(frame)) {
         return Err(Error::invalid(format!(
-            "frame {frame} is to be left out, but it does not exist; the frames are {known:?}"
+            "frame {frame} cannot be excluded, because it does not exist; the frames are {known:?}"
         )));
     }
     let (out, kept): (Vec<BapFeature>, Vec<BapFeature>) =
@@ -48,14 +48,15 @@ pub(super) fn check_observations(
         return Err(Error::invalid(if options.exclude_frames.is_empty() {
             "there are no features"
         } else {
-            "there are no features: all frames that have some are left out (exclude_frames)"
+            "there are no features: all frames with features are excluded (exclude_frames)"
         }));
     }
     let loss = options.cost().loss;
     if loss.kind != LossKind::None && loss.scale < LEAST_SCALE {
         return Err(Error::invalid(format!(
-            "with a loss scale of {} nothing that has noise counts: it is the residual, in standard deviations (px where \
-             observations have none), beyond which an observation counts less; 2 to 5 is usual",
+            "a loss scale of {} suppresses all observations with noise: it is the residual, in \
+             standard deviations (px for observations without one), beyond which an observation \
+             counts less; 2 to 5 is usual",
             loss.scale
         )));
     }
@@ -92,12 +93,12 @@ pub(super) fn check_indices(
     let remedy = if features.iter().all(could_be_mm) {
         "are u and v in mm? Give them in px"
     } else {
-        "give the features and the camera or centres whose indices they have"
+        "give features and camera or centres with the same indices"
     };
     let message = format!(
-        "corner {} of frame {} is {distance:.0} px from the centre of its micro-image ({}, {}), and {} \
-         more features are too far from theirs; a micro-image is {pitch:.1} px wide, so indices and \
-         positions do not belong together: {remedy}",
+        "corner {} of frame {} is {distance:.0} px from the centre of its micro-image ({}, {}), \
+         and {} more features are too far from their centres; the micro-image pitch is {pitch:.1} \
+         px, so indices and positions do not belong together: {remedy}",
         f.corner,
         f.frame,
         f.k,
@@ -114,7 +115,7 @@ pub(super) fn check_refined(refinement: &Refinement) -> Result<()> {
     let reason = match refinement.camera.validate() {
         Err(error) => error.to_string(),
         Ok(()) if !refinement.cost.is_finite() => format!("the cost is {}", refinement.cost),
-        Ok(()) if !poses => "a pose is not finite".to_owned(),
+        Ok(()) if !poses => "a pose of the result is not finite".to_owned(),
         Ok(()) => return Ok(()),
     };
     Err(Error::invalid(format!(

@@ -33,8 +33,8 @@ pub fn initial_camera(
     let pupil_to_mla = lens_to_mla + exit_pupil_mm;
     if !(lens_to_mla > 0.0 && mla_to_sensor > 0.0 && pupil_to_mla > 0.0) {
         return Err(Error::invalid(format!(
-            "F = {} mm, m = {} mm and an exit pupil at {exit_pupil_mm} mm leave no place for the array: \
-             D = {lens_to_mla} mm, d = {mla_to_sensor} mm",
+            "F = {} mm, m = {} mm and an exit pupil at {exit_pupil_mm} mm contradict each other: \
+             they give D = {lens_to_mla} mm and d = {mla_to_sensor} mm",
             datasheet.focal_length_mm, internal.m_mm
         )));
     }

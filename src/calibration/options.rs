@@ -140,8 +140,8 @@ impl FromStr for ExitPupil {
             number => match number.parse() {
                 Ok(place) if f64::is_finite(place) => Ok(Self::At(place)),
                 _ => Err(Error::invalid(format!(
-                    "'{text}' is no place for the exit pupil: write estimated, at-lens, or its \
-                     distance from the lens in mm, negative towards the array"
+                    "'{text}' is not a position of the exit pupil: write estimated, at-lens, or \
+                     its distance from the lens in mm, negative towards the array"
                 ))),
             },
         }
@@ -214,7 +214,9 @@ impl Priors {
                 )));
             };
             if named.contains(&quantity) {
-                return Err(Error::invalid(format!("'{text}' gives a quantity a second prior")));
+                return Err(Error::invalid(format!(
+                    "'{text}' is a second prior on the same quantity: remove one of them"
+                )));
             }
             self.quantities.insert(quantity.clone(), prior);
             named.push(quantity);
@@ -428,8 +430,8 @@ impl CalibrationOptions {
             positive(std_dev, &format!("the standard deviation of {name}"))?;
             if std_dev < LEAST_STD_DEV_PX {
                 return Err(Error::invalid(format!(
-                    "the standard deviation of {name} is {std_dev} px, and nothing is measured to {LEAST_STD_DEV_PX} px: \
-                     give that of your features, or leave it out"
+                    "the standard deviation of {name} is {std_dev} px, but has to be at least \
+                     {LEAST_STD_DEV_PX} px: state the noise of your observations, or leave it out"
                 )));
             }
         }
@@ -568,40 +570,41 @@ impl CalibrationOptions {
             || self.field_curvature != FieldCurvature::Estimated;
         if self.mode == Mode::PosesOnly && stated {
             return Err(Error::invalid(
-                "the camera is fixed where only poses are estimated: leave out where its exit pupil is and \
-                 whether its field is flat",
+                "the camera is fixed if only poses are estimated: leave out exit_pupil and \
+                 field_curvature",
             ));
         }
         if self.mode == Mode::PosesOnly && self.board == BoardModel::Bent {
             return Err(Error::invalid(
-                "the board is to be bent by what comes out, but the shape of a board is estimated together with a \
-                 camera: give the shape that it had there",
+                "the shape of a bent board (board = \"bent\") is only estimated together with a \
+                 camera: give the shape from that calibration",
             ));
         }
         let is_fixed = |parameter: &Parameter| self.fix.contains(parameter);
         if self.board == BoardModel::Bent && Parameter::SHAPE.iter().all(is_fixed) {
             return Err(Error::invalid(format!(
-                "the board is to be bent by what comes out, but {} are fixed: free one of them, or take the board to \
-                 be flat",
+                "the shape of a bent board (board = \"bent\") is to be estimated, but {} are \
+                 fixed: free one of them, or set board = \"flat\"",
                 Parameter::SHAPE.map(Parameter::name).join(", ")
             )));
         }
         self.check_numbers()?;
         if self.mode == Mode::Full && !self.has_rho() && (self.rho_std_dev_px - 1.0).abs() > 0.0 {
             return Err(Error::invalid(
-                "a standard deviation of rho is given, but rho does not count: let it count (blur = \
+                "a standard deviation of rho is given, but rho is not used: use it (blur = \
                  \"features\"), or leave the standard deviation out",
             ));
         }
         if self.loss_scale.is_some() && matches!(self.loss, None | Some(LossKind::None)) {
             return Err(Error::invalid(
-                "a loss scale is given, but no loss: give loss = \"huber\" or \"cauchy\" too",
+                "a loss scale is given without a loss: add loss = \"huber\" or \"cauchy\"",
             ));
         }
         let known = Parameter::shared(start.lens_types());
         if let Some(parameter) = self.fix.iter().find(|parameter| !known.contains(parameter)) {
             return Err(Error::invalid(format!(
-                "there is no parameter '{parameter}' to fix; this camera has {}",
+                "the parameter '{parameter}' does not exist and cannot be fixed; this camera has \
+                 {}",
                 names(&known).join(", ")
             )));
         }
@@ -612,8 +615,9 @@ impl CalibrationOptions {
 /// Parses frames from the command line: numbers and ranges of them, separated by commas.
 pub fn frame_list(text: &str) -> std::result::Result<Vec<u32>, String> {
     const MOST: u32 = 100_000;
-    let wrong =
-        || format!("'{text}' is no list of frames: write numbers and ranges, such as 3,7 or 0-4,7");
+    let wrong = || {
+        format!("'{text}' is not a list of frames: write numbers and ranges, such as 3,7 or 0-4,7")
+    };
     let mut frames = Vec::new();
     for part in text.split(',').map(str::trim) {
         let (first, last) = part.split_once('-').unwrap_or((part, part));

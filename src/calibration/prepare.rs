@@ -196,7 +196,8 @@ fn check_same_array(solution: &PlenopticCamera, camera: &PlenopticCamera) -> Res
         format!("{} type(s) of micro-lenses on {}", camera.lens_types(), camera.lattice)
     };
     Err(Error::invalid(format!(
-        "the camera of the solution has {}, but that of the observations {}: give a solution with the array of these",
+        "the camera of the solution has {}, but the camera of the observations has {}: give a \
+         solution for this array",
         of(solution),
         of(camera)
     )))
@@ -205,8 +206,9 @@ fn check_same_array(solution: &PlenopticCamera, camera: &PlenopticCamera) -> Res
 /// Explains why no frame could be used.
 fn no_frame(left_out: &[LeftOut]) -> String {
     if left_out.iter().all(|frame| frame.reason == Issue::PoseBehindFocalPlane) {
-        return "no frame could be used: all boards would have to be nearer to the main lens than its focal length. Check \
-                the size of the squares (square_mm) and of a pixel (pixel_size_mm), and the focal length (focal_length_mm)"
+        return "no frame could be used: all boards would be nearer to the main lens than its focal \
+                length. Check the size of the squares (square_mm), the pixel size (pixel_size_mm) \
+                and the focal length (focal_length_mm)"
             .to_owned();
     }
     let mut by_reason: BTreeMap<String, Vec<u32>> = BTreeMap::new();

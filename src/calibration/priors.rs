@@ -187,14 +187,14 @@ pub(super) fn check_priors(options: &CalibrationOptions, lens_types: usize) -> R
     };
     let unknown = |quantity: &str| {
         Error::invalid(format!(
-            "there is no quantity '{quantity}' for a prior; this camera has {}",
+            "the quantity '{quantity}' of a prior does not exist; this camera has {}",
             names().join(", ")
         ))
     };
     let stated = options.priors.stated();
     if options.mode == Mode::PosesOnly && !stated.is_empty() {
         return Err(Error::invalid(
-            "priors hold the camera, which is fixed where only poses are estimated: leave them out",
+            "priors on the camera have no effect if only poses are estimated: leave them out",
         ));
     }
     let mut quantities = options.priors.quantities.keys();
@@ -204,18 +204,19 @@ pub(super) fn check_priors(options: &CalibrationOptions, lens_types: usize) -> R
     let fixed = options.fixed();
     for Prior { quantity, value, std_dev } in &stated {
         if !value.is_finite() {
-            return Err(Error::invalid(format!("the prior of {quantity} has the value {value}")));
+            return Err(Error::invalid(format!(
+                "the prior on {quantity} has the value {value}, but has to be finite"
+            )));
         }
         if !(std_dev.is_finite() && *std_dev > 0.0) {
             return Err(Error::invalid(format!(
-                "the prior of {quantity} has σ = {std_dev}, which has to be positive; to hold a \
-                 parameter at a value, fix it"
+                "the prior on {quantity} has σ = {std_dev}, but σ has to be positive; fix the \
+                 parameter to hold it at a value"
             )));
         }
         if !is_free(quantity, &fixed) || options.keeps(quantity) {
             return Err(Error::invalid(format!(
-                "{quantity} has a prior, but it is fixed: a prior would have no effect; leave one \
-                 of the two out"
+                "{quantity} has a prior, but is fixed: remove the prior or free the parameter"
             )));
         }
     }
@@ -254,8 +255,8 @@ pub(super) fn with_far_prior(
     let prior = Estimate { value: of.prior.value, std_dev: of.prior.std_dev }.scaled(factor);
     let (at_start, _) = Estimate::new(of.result * factor, prior.std_dev).text();
     Error::invalid(format!(
-        "the prior {} = {prior} {unit} is far from the start, {at_start} {unit}, and no camera was found with it: check its \
-         value and its unit, or leave it out ({error})",
+        "the prior {} = {prior} {unit} is far from the start, {at_start} {unit}, and the \
+         calibration fails with it: check its value and its unit, or remove it ({error})",
         of.prior.quantity
     ))
 }

@@ -98,7 +98,7 @@ impl Settings<'_> {
             }
             if measured {
                 cost.prior_weight *= change;
-                debug!("the priors weigh {:.3}", cost.prior_weight);
+                debug!("weight of the priors: {:.3}", cost.prior_weight);
             }
             rough = rough && !settled && attempt < MAX_ATTEMPTS / 2;
             so_far = Some(refinement);
@@ -183,7 +183,7 @@ fn refine(
         let Ok(Some(poses)) = reconsidered_poses(&refined, frames, cost, &options.solver()) else {
             break;
         };
-        info!("refining again: the tilt of some boards changes its sign");
+        info!("refining again with the opposite tilt of some boards");
         let done = refinement.iterations.len().saturating_sub(1);
         let max_iterations = max_iterations.saturating_sub(done);
         if max_iterations == 0 {

@@ -59,16 +59,16 @@ fn direction_text(direction: &WeakDirection) -> String {
     let last = names.pop().unwrap_or_default();
     let subject = match (names.is_empty(), boards) {
         (true, true) => format!("{last} trades off against board distance"),
-        (true, false) => format!("{last} is the least certain"),
+        (true, false) => format!("{last} has the largest uncertainty"),
         (false, true) => {
             format!("{} and {last} trade off against board distance", names.join(", "))
         }
         (false, false) => format!("{} and {last} trade off against each other", names.join(", ")),
     };
     let along = if direction.determined {
-        "along one σ, with the share of each variance"
+        "change along one σ, with the share of each variance"
     } else {
-        "NOT DETERMINED by these observations; along it, with the share of each"
+        "NOT DETERMINED by these observations; change along this direction, with the share of each"
     };
     format!("{subject}; {along}: {}", changes.join(", "))
 }

@@ -68,10 +68,10 @@ fn check_in_focus(internal: &InternalParameters, pitch_mm: f64) -> Result<()> {
 
 fn unfocused(how: &str) -> Error {
     Error::invalid(format!(
-        "the camera is {how} to be unfocused (f = d): each of its micro-images shows one place of the scene, seen \
-         through all of the pupil, and no corner of a board. Corners are found in micro-images, so only focused \
-         cameras can be calibrated; white images of this one can be measured all the same. Calibrate it with \
-         software that finds corners in sub-aperture images"
+        "the camera is {how} to be unfocused (f = d): its micro-images show the pupil, not corners \
+         of a board. plenocal detects corners in micro-images and calibrates only focused cameras; \
+         it measures white images of both kinds. Calibrate this camera with software that detects \
+         corners in sub-aperture images"
     ))
 }
 
@@ -91,7 +91,8 @@ impl MicroImages {
         let pixel_size_mm = sheet.sensor.pixel_size_mm;
         if internal.q_prime_mm.is_empty() {
             return Err(Error::invalid(
-                "the pre-calibration has no lens types: it takes white images at several f-numbers",
+                "the pre-calibration has no lens types: repeat it with white images at several \
+                 f-numbers",
             ));
         }
         let pupil_px = internal.pupil_radius_mm(sheet.f_number) / pixel_size_mm;
@@ -99,8 +100,8 @@ impl MicroImages {
         for size in sizes.chain(std::iter::once(pupil_px)) {
             if size.is_nan() || size.abs() > MOST_PITCHES * grid.pitch_px {
                 return Err(Error::invalid(format!(
-                    "the internal parameters make discs of {size:.1} px in micro-images with a pitch of \
-                     {:.1} px: they are of another camera, or not in mm",
+                    "the internal parameters predict discs of {size:.1} px in micro-images with a \
+                     pitch of {:.1} px: they are of another camera, or not in mm",
                     grid.pitch_px
                 )));
             }
@@ -144,9 +145,9 @@ impl MicroImages {
         let most = micro_images.find_growth();
         if most.is_nan() || most > MOST_GROWTH {
             return Err(Error::invalid(format!(
-                "the micro-images lie in such a perspective that the array would be {:.0} % further from the sensor \
-                 at a corner of the image than in the middle: the centres are not of one flat array, or the focal \
-                 length is wrong",
+                "the perspective of the micro-image centres implies an array that is {:.0} % \
+                 further from the sensor at a corner of the image than in the middle: the centres \
+                 are not of one flat array, or the focal length is wrong",
                 100.0 * most
             )));
         }

@@ -39,7 +39,7 @@ struct TrueBoard {
 pub fn read_true_board(path: &Path) -> Result<BoardShape> {
     let text = read_text(path)?;
     let TrueBoard { sag_mm: [sag_x_mm, sag_y_mm], twist_mm, aspect } = toml::from_str(&text)
-        .map_err(|e| Error::content(path, format!("not the true shape of a board: {e}")))?;
+        .map_err(|e| Error::content(path, format!("not a valid true shape of a board: {e}")))?;
     let table = text.parse().map_err(|e: toml::de::Error| Error::content(path, e.to_string()))?;
     finite(&table).map_err(|e| e.in_file(path))?;
     Ok(BoardShape { sag_x_mm, sag_y_mm, twist_mm, aspect })

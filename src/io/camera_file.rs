@@ -174,8 +174,8 @@ pub fn read_std_devs(path: &Path, lens_types: usize) -> Result<Vec<Option<f64>>>
         Some(std_dev) if !POSSIBLE_STD_DEVS.contains(&std_dev) => Err(Error::content(
             path,
             format!(
-                "uncertainty.standard_deviations.{} is {std_dev:e}, but a standard deviation is from {:e} to {:e}: write null \
-                 where none is known",
+                "uncertainty.standard_deviations.{} is {std_dev:e}, but has to be from {:e} to \
+                 {:e}: write null if it is not known",
                 p.name(),
                 POSSIBLE_STD_DEVS.start(),
                 POSSIBLE_STD_DEVS.end()
@@ -209,10 +209,12 @@ pub(super) fn camera_from(mut value: Value) -> Result<PlenopticCamera> {
     if let Some(fields) = value.as_object_mut() {
         let known = BESIDE.into_iter().chain(OF_CAMERA);
         if let Some(key) = fields.keys().find(|key| !known.clone().any(|known| known == *key)) {
-            let instead = meant(key, known)
-                .map_or_else(|| "leave it out".to_owned(), |meant| format!("is '{meant}' meant?"));
+            let instead = meant(key, known).map_or_else(
+                || "leave it out".to_owned(),
+                |meant| format!("did you mean '{meant}'?"),
+            );
             return Err(Error::invalid(format!(
-                "'{key}' is no key of a {CAMERA_FORMAT} file: {instead}"
+                "'{key}' is not a key of a {CAMERA_FORMAT} file: {instead}"
             )));
         }
         check_boards(&fields.get("boards").cloned().unwrap_or_default())?;
@@ -227,8 +229,8 @@ fn check_boards(boards: &Value) -> Result<()> {
     let [near, far] = ["near_mm", "far_mm"].map(|name| boards[name].as_f64());
     match near.zip(far) {
         Some((near, far)) if !(0.0 < near && near <= far) => Err(Error::invalid(format!(
-            "in boards: near_mm is {near} and far_mm is {far}, but boards lie in front of the camera, and the nearest is not \
-             beyond the furthest: correct them, or leave boards out"
+            "in boards: near_mm is {near} and far_mm is {far}, but 0 < near_mm ≤ far_mm is needed: \
+             correct them, or leave boards out"
         ))),
         _ => Ok(()),
     }

@@ -62,7 +62,7 @@ pub(super) fn datasheet_from(value: Value) -> Result<Datasheet> {
         array_size: Some(file.mia.mesh.size()?),
         lens_types: file.lens_types.count("I")?,
         micro_image_pitch_px: match &file.mia.mesh.pitch {
-            Some(pitch) => Some(pitch.fixed::<2>("the pitch of the mia's mesh")?[0]),
+            Some(pitch) => Some(pitch.fixed::<2>("the pitch of the mesh of the mia")?[0]),
             None => None,
         },
     })
@@ -87,7 +87,7 @@ pub(super) fn internal_parameters_from(
         && (scale.0 / pixel - 1.0).abs() > 1e-6
     {
         return Err(Error::invalid(format!(
-            "the internal parameters were measured with pixels of {} mm, but the camera's have {} \
+            "the internal parameters are for pixels of {} mm, but the pixels of the camera have {} \
              mm",
             scale.0, pixel
         )));
@@ -170,8 +170,9 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
             focal_lengths_mm.len()
         )));
     }
-    let pitch = mesh.pitch.as_ref().ok_or_else(|| Error::invalid("the mla's mesh has no pitch"))?;
-    let [pitch_x, pitch_y] = pitch.fixed("the pitch of the mla's mesh")?;
+    let pitch =
+        mesh.pitch.as_ref().ok_or_else(|| Error::invalid("the mesh of the mla has no pitch"))?;
+    let [pitch_x, pitch_y] = pitch.fixed("the pitch of the mesh of the mla")?;
     let pitch_ratio = pitch_y / pitch_x;
     let camera_from_mesh = file.mla.mesh.pose.parent_from_own()?;
     let center =
@@ -179,7 +180,7 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
     let camera_from_sensor = file.sensor.pose.parent_from_own()?;
     if camera_from_sensor.rotation.angle() > 1e-9 {
         return Err(Error::invalid(
-            "the sensor is rotated relative to the main lens; in the model they are parallel",
+            "the sensor is rotated relative to the main lens, but the model needs them parallel",
         ));
     }
     let origin = camera_from_sensor.translation.vector;
@@ -223,7 +224,7 @@ pub(super) fn poses_from(value: Value) -> Result<Vec<FramePose>> {
         .iter()
         .map(|f| {
             let frame = u32::try_from(f.frame.0)
-                .map_err(|_| Error::invalid(format!("frame {} is not a frame", f.frame.0)))?;
+                .map_err(|_| Error::invalid(format!("{} is not a frame number", f.frame.0)))?;
             possible(FramePose { frame, camera_from_board: f.pose.parent_from_own()?.inverse() })
         })
         .collect()

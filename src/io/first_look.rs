@@ -27,7 +27,7 @@ pub fn first_look(images: &ImagesSection) -> Result<Vec<Finding>> {
     for (white, before) in whites.iter().zip(repeated(&[], &whites)) {
         if let Some(before) = before {
             return Err(Error::invalid(format!(
-                "{before} and {} are the same image: list the white image of each f-number once",
+                "{before} and {} are the same image: list one white image for each f-number",
                 name(white)
             )));
         }

@@ -27,7 +27,7 @@ impl FolderLock {
             Err(TryLockError::WouldBlock) => {
                 return Err(Error::content(
                     folder,
-                    "is in use by another run: wait for its end, or choose another folder",
+                    "is in use by another run: wait until it ends, or choose another folder",
                 ));
             }
             Err(TryLockError::Error(_)) => None,

@@ -110,7 +110,8 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
     if files.is_empty() {
         return Err(Error::content(
             folder,
-            "there are no images in this folder: give one with PNG, TIFF, BMP, PGM or JPEG files",
+            "there are no images in this folder: give a folder with PNG, TIFF, BMP, PGM or JPEG \
+             files",
         ));
     }
     let below =
@@ -140,12 +141,14 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
 
 /// Returns the reason why a file in a folder cannot be used in a project.
 fn unusable(path: &Path, folder: &Path) -> Option<&'static str> {
-    let Ok(metadata) = fs::metadata(path) else { return Some("the link leads nowhere") };
+    let Ok(metadata) = fs::metadata(path) else {
+        return Some("the target of the link does not exist");
+    };
     if !metadata.is_file() {
         return Some("it is a pipe or a device");
     }
     let below = path.strip_prefix(folder).unwrap_or(path);
-    below.to_str().is_none().then_some("its name is not UTF-8, as project files are: rename it")
+    below.to_str().is_none().then_some("its name is not UTF-8: rename it")
 }
 
 fn images_in(folder: &Path, seen: &mut HashSet<PathBuf>, images: &mut Vec<PathBuf>) -> Result<()> {
@@ -293,9 +296,9 @@ impl SortedImages {
         if !other.is_empty() {
             let more = other.len().saturating_sub(NAMED);
             return Err(Error::invalid(format!(
-                "{} of {} images have {width_px} x {height_px} px, but these do not:\n{}{}\nGive \
-                 all images uncropped, as the camera delivered them, or take these out of the \
-                 folder",
+                "{} of {} images have {width_px} x {height_px} px, but these have another \
+                 size:\n{}{}\nGive all images uncropped, as the camera delivered them, or remove \
+                 these from the folder",
                 formats.len() - other.len(),
                 formats.len(),
                 other[..other.len().min(NAMED)].join("\n"),

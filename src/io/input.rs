@@ -37,8 +37,7 @@ fn read_document(path: &Path) -> Result<Document> {
     if let Ok(value @ (Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_))) =
         serde_json::from_str(text)
     {
-        let message =
-            format!("there is nothing in it but {value}: give a file with all its fields");
+        let message = format!("it contains only {value}: give a file with all fields");
         return Err(Error::content(path, message));
     }
     // A table of a project file also begins with a bracket, but a name follows.
@@ -80,7 +79,7 @@ fn wanted(value: Value, files: &[&str]) -> Result<Value> {
                 _ => "camera.json, a project file",
             };
             Err(Error::invalid(format!(
-                "this seems to be {kind}: give {ours} or COMPOTE's {}",
+                "it seems to be {kind}: give {ours} or COMPOTE's {}",
                 files.join(" or ")
             )))
         }
@@ -95,7 +94,7 @@ pub fn read_camera_source(path: &Path) -> Result<CameraSource> {
         Document::Project(project) => project.datasheet().and_then(|sheet| {
             let sheet = sheet.ok_or_else(|| {
                 Error::invalid(
-                    "there is no camera in this project file: add [sensor], [main_lens] and \
+                    "this project file has no camera: add [sensor], [main_lens] and \
                      [micro_lens_array]",
                 )
             })?;
@@ -123,7 +122,7 @@ pub fn read_internal_parameters(
     let internal = match read_document(path)? {
         Document::Project(project) => project
             .internal_parameters
-            .ok_or_else(|| Error::invalid("there is no table [internal_parameters] in it")),
+            .ok_or_else(|| Error::invalid("it has no table [internal_parameters]")),
         Document::Json(value) if is_format(&value, PRECALIBRATION_FORMAT) => {
             precalibration_file::internal_parameters_from(value)
         }
@@ -148,7 +147,7 @@ pub fn read_array_size(path: &Path) -> Result<Option<(i32, i32)>> {
 pub fn read_board(path: &Path) -> Result<Board> {
     let board = match read_document(path)? {
         Document::Project(project) => {
-            project.board.ok_or_else(|| Error::invalid("there is no table [board] in it"))
+            project.board.ok_or_else(|| Error::invalid("it has no table [board]"))
         }
         Document::Json(value) => wanted(value, &["scene.js"]).and_then(compote::board_from),
     };
@@ -158,7 +157,7 @@ pub fn read_board(path: &Path) -> Result<Board> {
 /// Reads poses: `poses.json` or COMPOTE's `poses.js`.
 pub fn read_poses(path: &Path) -> Result<Vec<FramePose>> {
     let poses = match read_document(path)? {
-        Document::Project(_) => Err(Error::invalid("there are no poses in a project file")),
+        Document::Project(_) => Err(Error::invalid("a project file has no poses: give poses.json")),
         Document::Json(value) if is_format(&value, poses_file::POSES_FORMAT) => {
             poses_file::poses_from(value)
         }

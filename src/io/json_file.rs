@@ -113,7 +113,7 @@ impl<'de> Visitor<'de> for Values {
         let mut object = Map::new();
         while let Some(key) = fields.next_key::<String>()? {
             if object.contains_key(&key) {
-                return Err(A::Error::custom(format!("'{key}' is given twice: leave one out")));
+                return Err(A::Error::custom(format!("'{key}' is given twice: remove one")));
             }
             let value = fields.next_value_seed(Self)?;
             object.insert(key, value);

@@ -128,10 +128,10 @@ pub fn read_text(path: &Path) -> Result<String> {
 fn not_utf8(bytes: &[u8]) -> &'static str {
     const MARKS: [&[u8]; 2] = [b"\xff\xfe", b"\xfe\xff"];
     if MARKS.iter().any(|mark| bytes.starts_with(mark)) {
-        "this text is in UTF-16: save it as UTF-8"
+        "this text is encoded in UTF-16: save it as UTF-8"
     } else if bytes.iter().take(4096).any(|byte| *byte == 0) {
         "this is not a text file"
     } else {
-        "this text is not in UTF-8: save it as UTF-8"
+        "this text is not encoded in UTF-8: save it as UTF-8"
     }
 }

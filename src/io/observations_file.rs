@@ -72,7 +72,7 @@ fn feature(row: &Row) -> Result<BapFeature> {
         std_dev_px: match (row.std_dev("std_u")?, row.std_dev("std_v")?) {
             (Some(u), Some(v)) => Some([u, v]),
             (None, None) => None,
-            _ => return Err(row.error("std_u and std_v go together, but one is missing")),
+            _ => return Err(row.error("std_u and std_v are needed together, but one is missing")),
         },
         correlation: row.correlation()?,
         rho_std_dev_px: row.std_dev("std_rho")?,
@@ -93,8 +93,8 @@ pub(super) fn read_problem_features(path: &Path, board: &Board) -> Result<Vec<Pr
         let on_board = (0..board.corners()).contains(&feature.corner);
         if !on_board || off_mm > SAME_CORNER * board.square_mm {
             return Err(row.error(&format!(
-                "corner {} is at ({}, {}, {}) mm, which is not its place on the board in problem.json: problems with other \
-                 corners are not evaluated",
+                "corner {} is at ({}, {}, {}) mm, which is not its position on the board in \
+                 problem.json: only problems with the corners of this board are evaluated",
                 feature.corner, place[0], place[1], place[2]
             )));
         }
@@ -247,7 +247,7 @@ impl Row<'_> {
         if value.is_finite() {
             return Ok(value);
         }
-        Err(self.error(&format!("{name} is {value}, not a finite number")))
+        Err(self.error(&format!("{name} is {value}, but has to be a finite number")))
     }
 
     /// Reads a number; `None` if it was not measured.
@@ -271,8 +271,8 @@ impl Row<'_> {
             0 => Ok(Some(sensitivities)),
             missing if missing == 2 * TAKEN => Ok(None),
             _ => Err(self.error(&format!(
-                "{} go together, but some are missing: if an older version wrote the file, detect the boards again; else leave \
-                 all of these columns out",
+                "the columns {} are needed together, but some are missing: detect the boards again \
+                 if an older version wrote the file; otherwise remove all of these columns",
                 SENSITIVITIES.as_flattened().join(", ")
             ))),
         }
@@ -290,8 +290,8 @@ impl Row<'_> {
             }
             (None, None, None, None) => Ok(None),
             _ => Err(self.error(&format!(
-                "{} go together, but one is missing: if an older version wrote the file, detect the boards again; else leave \
-                 all of these columns out",
+                "the columns {} are needed together, but one is missing: detect the boards again \
+                 if an older version wrote the file; otherwise remove all of these columns",
                 BLUR.join(", ")
             ))),
         }
@@ -300,9 +300,10 @@ impl Row<'_> {
     /// Reads the correlation of u and v; 0 if it was not measured.
     fn correlation(&self) -> Result<f64> {
         match self.measured(CORRELATION)? {
-            Some(value) if value.abs() >= 1.0 => Err(self.error(&format!(
-                "{CORRELATION} is {value}, but a correlation lies between -1 and 1"
-            ))),
+            Some(value) if value.abs() >= 1.0 => {
+                Err(self
+                    .error(&format!("{CORRELATION} is {value}, but has to lie between -1 and 1")))
+            }
             value => Ok(value.unwrap_or(0.0)),
         }
     }
@@ -310,11 +311,12 @@ impl Row<'_> {
     fn std_dev(&self, name: &str) -> Result<Option<f64>> {
         match self.measured(name)? {
             Some(value) if value <= 0.0 => Err(self.error(&format!(
-                "{name} is {value}, but a standard deviation is positive; leave it empty where it was \
-                 not measured"
+                "{name} is {value}, but a standard deviation has to be positive; leave it empty if \
+                 it was not measured"
             ))),
             Some(value) if value < LEAST_STD_DEV => Err(self.error(&format!(
-                "{name} is {value}, and nothing is measured to {LEAST_STD_DEV}; leave it empty where it was not measured"
+                "{name} is {value}, but a standard deviation has to be at least {LEAST_STD_DEV}; \
+                 leave it empty if it was not measured"
             ))),
             value => Ok(value),
         }
@@ -386,9 +388,9 @@ fn broken_row(error: &csv::Error) -> String {
         csv::ErrorKind::UnequalLengths { pos, expected_len, len } => {
             let line = pos.as_ref().map_or(0, csv::Position::line);
             let decimals = if len > expected_len {
-                ": are there commas in its numbers? Write decimals with points"
+                ": if its numbers contain decimal commas, write decimal points"
             } else {
-                ": is the file cut off?"
+                ": the file may be cut off"
             };
             format!(
                 "line {line} has {len} columns, but the first line names {expected_len}{decimals}"
@@ -425,8 +427,8 @@ fn rows<T>(
         return Err(Error::content(
             path,
             format!(
-                "the first line names a column '{found}', which looks like a misspelt {meant}: correct it, or give the \
-                 column a name that is not mistaken for it"
+                "the first line names a column '{found}', which looks like a misspelt {meant}: \
+                 correct it, or give the column a clearly different name"
             ),
         ));
     }
@@ -436,7 +438,8 @@ fn rows<T>(
         return Err(Error::content(
             path,
             format!(
-                "the first line has no column '{}'; it has to name the columns {}, and reads '{}'{}",
+                "the first line has no column '{}'; it has to name the columns {}, but reads \
+                 '{}'{}",
                 missing.join("', '"),
                 required.join(","),
                 header.iter().collect::<Vec<_>>().join(",").chars().take(80).collect::<String>(),
@@ -451,7 +454,7 @@ fn rows<T>(
         values.push(parse(&Row { path, line, record: &record, columns: &columns })?);
     }
     if values.is_empty() {
-        return Err(Error::content(path, "there are no observations in it"));
+        return Err(Error::content(path, "it contains no observations"));
     }
     Ok(values)
 }

@@ -137,13 +137,13 @@ impl OutputFolder {
     /// Creates an empty collection without any file. An error if the path cannot become a folder, or if it is not writable.
     pub fn new(folder: &Path) -> Result<Self> {
         if folder.exists() && !folder.is_dir() {
-            return Err(Error::content(folder, "is a file, but results go into a folder"));
+            return Err(Error::content(folder, "is a file, but results need a folder"));
         }
         let there = folder.ancestors().find(|f| f.exists()).unwrap_or(Path::new("."));
         if !there.is_dir() {
             return Err(Error::content(
                 folder,
-                format!("cannot become a folder, because {} is a file", there.display()),
+                format!("cannot be created as a folder, because {} is a file", there.display()),
             ));
         }
         if folder.is_relative() && std::env::current_dir().is_err() {
@@ -226,7 +226,7 @@ impl OutputFolder {
     pub fn commit(mut self) -> Result<Vec<PathBuf>> {
         // A folder with the name of a result is an error before the first file is renamed.
         if let Some((_, path)) = self.staged.iter().find(|(_, path)| path.is_dir()) {
-            return Err(Error::content(path, "is a folder, but a result has this name"));
+            return Err(Error::content(path, "is a folder, but has the name of a result file"));
         }
         let begun = Instant::now();
         // A full or broken disk may report an error only now.

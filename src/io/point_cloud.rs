@@ -38,7 +38,7 @@ pub fn read_point_cloud_distance(path: &Path) -> Result<f64> {
             }
         }
     }
-    median(depths).ok_or_else(|| Error::content(path, "there are no points in it"))
+    median(depths).ok_or_else(|| Error::content(path, "it contains no points"))
 }
 
 #[cfg(test)]

@@ -86,7 +86,7 @@ pub(super) fn of_different_frames(poses: Vec<FramePose>) -> Result<Vec<FramePose
     let mut seen = HashSet::new();
     match poses.iter().find(|pose| !seen.insert(pose.frame)) {
         Some(pose) => {
-            Err(Error::invalid(format!("frame {} has two poses: leave one out", pose.frame)))
+            Err(Error::invalid(format!("frame {} has two poses: remove one", pose.frame)))
         }
         None => Ok(poses),
     }
@@ -102,12 +102,14 @@ pub(super) fn before_the_camera(poses: Vec<FramePose>) -> Result<Vec<FramePose>>
     let (frame, z_mm) = (pose.frame, z(pose));
     Err(Error::invalid(if z_mm < 0.0 {
         format!(
-            "the board of frame {frame} lies behind the camera, at z = {z_mm} mm: camera_from_board takes points of the \
-             board into the camera frame, whose z leads towards the scene"
+            "the board of frame {frame} lies behind the camera, at z = {z_mm} mm: \
+             camera_from_board transforms points of the board to the camera frame, whose z axis \
+             points towards the scene"
         )
     } else {
         format!(
-            "the board of frame {frame} lies {z_mm} mm before the camera: are the translations in m? Give them in mm"
+            "the board of frame {frame} lies only {z_mm} mm in front of the camera: give \
+             translations in mm, not in m"
         )
     }))
 }
@@ -123,7 +125,7 @@ pub(super) fn possible(pose: FramePose) -> Result<FramePose> {
         return Ok(pose);
     }
     Err(Error::invalid(format!(
-        "the pose of frame {} is not finite, or further away than {FAR_MM:e} mm",
+        "the pose of frame {} is not finite, or beyond {FAR_MM:e} mm",
         pose.frame
     )))
 }

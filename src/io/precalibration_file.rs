@@ -127,7 +127,7 @@ pub(super) fn internal_parameters_from(value: Value) -> Result<InternalParameter
     let file: PrecalibrationFile = document_of(value, PRECALIBRATION_FORMAT)?;
     let mut internal = file.internal_parameters.ok_or_else(|| {
         Error::invalid(
-            "this pre-calibration is from one image and has no internal parameters; these need \
+            "this pre-calibration is from one image and has no internal parameters: repeat it with \
              white images at several f-numbers",
         )
     })?;

@@ -113,7 +113,8 @@ pub fn read_problem(folder: &Path) -> Result<SolvedProblem> {
 fn problem_from(value: Value) -> Result<ProblemFile> {
     if value["format"] != PROBLEM_FORMAT {
         return Err(Error::invalid(format!(
-            "its format is {}, and not \"{PROBLEM_FORMAT}\": give a problem that a calibration has exported",
+            "its format is {} instead of \"{PROBLEM_FORMAT}\": give a problem that was exported by \
+             a calibration",
             value["format"]
         )));
     }

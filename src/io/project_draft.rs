@@ -145,7 +145,7 @@ impl ProjectDraft<'_> {
                 "f_number",
                 self.f_number,
                 sheet.map(|s| s.f_number),
-                "of the board images, the true one: 5.657 where 5.6 is engraved",
+                "of the board images, the true value: 5.657 if 5.6 is engraved",
             ),
             (
                 "focus_distance_mm",
@@ -214,7 +214,7 @@ impl ProjectDraft<'_> {
             [one] => draft.line(&format!("devignetting = {}", name(one)?)),
             several => {
                 for path in several {
-                    let which = format!("{FILL_IN}: the one in the light of the boards");
+                    let which = format!("{FILL_IN}: the white image in the light of the boards");
                     draft.commented(&format!("# devignetting = {}", name(path)?), &which);
                 }
                 draft.missing.push(format!(
@@ -230,10 +230,11 @@ impl ProjectDraft<'_> {
         let unsorted = names(&images.unsorted)?;
         if !unsorted.is_empty() {
             draft.line(&format!(
-                "# {FILL_IN}: the names of these do not say what they show; move them to the lists."
+                "# {FILL_IN}: the content of these images is not clear from their names; move them \
+                 to the lists."
             ));
             draft.missing.push(format!(
-                "[images]: move the {} images whose names do not say what they show to the lists",
+                "[images]: move the {} images with unclear names to the lists",
                 unsorted.len()
             ));
         }
@@ -300,9 +301,9 @@ fn relative(path: &Path, folder: &Path) -> Result<String> {
     let down = parent.components().skip(common);
     let seen: PathBuf = up.chain(down).collect();
     let seen = seen.join(path.file_name().unwrap_or_default());
-    let name = seen.to_str().ok_or_else(|| {
-        Error::content(path, "the name of this file is not UTF-8, as project files are: rename it")
-    })?;
+    let name = seen
+        .to_str()
+        .ok_or_else(|| Error::content(path, "the name of this file is not UTF-8: rename it"))?;
     Ok(quoted(name))
 }
 

@@ -109,8 +109,8 @@ impl ArraySection {
             (None, None) => Ok(None),
             (Some(columns), Some(rows)) => Ok(Some((columns, rows))),
             _ => Err(Error::invalid(
-                "[micro_lens_array] needs both columns and rows, or neither: they are found in the \
-                 white images",
+                "[micro_lens_array] needs both columns and rows, or neither, to measure them in \
+                 the white images",
             )),
         }
     }
@@ -175,9 +175,12 @@ impl WhiteImage {
         match (self.f_number, self.stop) {
             (Some(n), None) => Ok(n),
             (None, Some(stop)) if stop > 0.0 => Ok(optics::f_number_of_stop(stop)),
-            (None, Some(stop)) => Err(Error::invalid(format!("a stop of {stop} is not possible"))),
+            (None, Some(stop)) => Err(Error::invalid(format!(
+                "a stop of {stop} is not possible: it \
+                                                              has to be positive"
+            ))),
             _ => Err(Error::invalid(format!(
-                "the white image {} needs either f_number or stop (as engraved), and not both",
+                "the white image {} needs either f_number or stop (as engraved), but not both",
                 self.image.display()
             ))),
         }
@@ -242,7 +245,7 @@ impl Project {
         let wrong = |e: toml::de::Error| {
             let waiting = text.lines().filter(|line| line.contains(FILL_IN)).count();
             let hint = if waiting > 0 && e.message().starts_with("missing field") {
-                format!("\n{waiting} line(s) of it say {FILL_IN}: give these values first")
+                format!("\n{waiting} line(s) are marked {FILL_IN}: state these values first")
             } else {
                 String::new()
             };
@@ -275,8 +278,8 @@ impl Project {
         let translation = self.images.as_ref().and_then(|images| images.translation.as_ref());
         match translation.map(|translation| translation.step_mm) {
             Some(step) if !step.is_finite() || step == 0.0 => Err(Error::invalid(format!(
-                "step_mm is {step} mm: state by how much the board moved from image to image, negative towards the \
-                 camera, or leave [images.translation] out"
+                "step_mm is {step} mm: state the motion of the board from image to image, negative \
+                 towards the camera, or leave [images.translation] out"
             ))),
             _ => Ok(()),
         }
@@ -298,7 +301,7 @@ impl Project {
                 micro_image_pitch_px: array.micro_image_pitch_px,
             })),
             _ => Err(Error::invalid(
-                "a camera needs all of the tables [sensor], [main_lens] and [micro_lens_array]",
+                "a camera needs the tables [sensor], [main_lens] and [micro_lens_array]",
             )),
         }
     }

@@ -89,14 +89,14 @@ fn calibration(root: Node) -> Result<RaytrixCalibration> {
     let unit_px = number(child(root, "diameter")?)?;
     if unit_px <= 0.0 {
         return Err(Error::invalid(format!(
-            "the diameter is {unit_px} px: give the pitch of the micro-images, above 0"
+            "the diameter is {unit_px} px: give the pitch of the micro-images, which is positive"
         )));
     }
     let (x, y) = (vector(child(root, "lens_base_x")?)?, vector(child(root, "lens_base_y")?)?);
     let base = Matrix2::from_columns(&[x, y]);
     if !base.is_invertible() {
         return Err(Error::invalid(
-            "lens_base_x and lens_base_y point the same way and span no lattice",
+            "lens_base_x and lens_base_y are parallel and do not span a lattice",
         ));
     }
     let upwards = Matrix2::new(1.0, 0.0, 0.0, -1.0);
@@ -135,8 +135,8 @@ fn type_colors(root: Node, kind: LatticeKind, to_nodes: &Matrix2<f64>) -> Result
         let color = color(&node);
         if (steps - node).amax() > ON_NODE || colors.contains(&color) {
             return Err(Error::invalid(format!(
-                "the offset ({}, {}) of <lens_type> {} leads to no lens, or to one of an earlier \
-                 type: correct the file, so that the types are those of three neighbours",
+                "the offset ({}, {}) of <lens_type> {} points to no lens, or to a lens of an \
+                 earlier type: correct it, so that the types belong to three neighbours",
                 offset.x,
                 offset.y,
                 i + 1
@@ -156,7 +156,7 @@ fn color(node: &Vector2<f64>) -> i32 {
 fn child<'a>(node: Node<'a, 'a>, name: &str) -> Result<Node<'a, 'a>> {
     node.children()
         .find(|child| child.has_tag_name(name))
-        .ok_or_else(|| Error::invalid(format!("there is no <{name}> in it")))
+        .ok_or_else(|| Error::invalid(format!("it has no <{name}>")))
 }
 
 fn number(node: Node) -> Result<f64> {
@@ -184,7 +184,7 @@ impl RaytrixCalibration {
     /// Estimates the number of centres in an image of this size, px. An error if it has more pixels than any sensor.
     pub fn number_of_centers(&self, width: u16, height: u16) -> Result<f64> {
         if u64::from(width) * u64::from(height) > MOST_PIXELS {
-            return Err(Error::invalid(format!("no sensor has more than {MOST_PIXELS} pixels")));
+            return Err(Error::invalid(format!("the limit is {MOST_PIXELS} pixels")));
         }
         Ok(f64::from(width) * f64::from(height) / self.steps_px.determinant().abs())
     }
@@ -360,13 +360,13 @@ mod tests {
             ("<Settings/>".to_owned(), "its root is <Settings>"),
             (good.replace("23.5", "-1"), "the diameter is -1 px"),
             (good.replace("23.5", "wide"), "<diameter> is 'wide'"),
-            (good.replace("<y>-2.25</y>", ""), "there is no <y> in it"),
-            (file(0.0, 0.0, &three), "point the same way"),
+            (good.replace("<y>-2.25</y>", ""), "it has no <y>"),
+            (file(0.0, 0.0, &three), "are parallel"),
             (file(0.0, 75.0, &three), "neither a hexagonal nor a square lattice"),
             (file(0.0, 60.0, &[0.0, 1.0]), "<lens_type> appears 2 times"),
             (file(0.0, 90.0, &three), "<lens_type> appears 3 times"),
-            (file(0.0, 60.0, &[0.0, 1.0, 4.0]), "<lens_type> 3 leads to no lens, or to one of a"),
-            (file(0.0, 60.0, &[0.0, 0.5, 2.0]), "<lens_type> 2 leads to no lens"),
+            (file(0.0, 60.0, &[0.0, 1.0, 4.0]), "<lens_type> 3 points to no lens, or to a lens"),
+            (file(0.0, 60.0, &[0.0, 0.5, 2.0]), "<lens_type> 2 points to no lens"),
         ] {
             let error = read(&text).unwrap_err().to_string();
             assert!(error.contains(words), "{error}");

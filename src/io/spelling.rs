@@ -96,7 +96,7 @@ fn with_suggestion(line: &str) -> Option<String> {
     let (found, rest) = rest.split_once('`')?;
     let known = rest.split('`').skip(1).step_by(2);
     let meant = meant(found, known)?;
-    Some(format!("{before}unknown field `{found}`: is `{meant}` meant?"))
+    Some(format!("{before}unknown field `{found}`: did you mean `{meant}`?"))
 }
 
 #[cfg(test)]
@@ -126,7 +126,7 @@ mod tests {
             ("x\ninvalid type: map, expected f64\ny", "x\ninvalid type: map, expected a number\ny"),
             (
                 "unknown field `colour`, expected one of `color`, `whites`",
-                "`colour`: is `color` meant?",
+                "`colour`: did you mean `color`?",
             ),
             ("unknown field `x`, expected one of `color`, `whites`", "one of `color`, `whites`"),
             ("expected `,` or `}` at line 3", "expected `,` or `}` at line 3"),

@@ -83,9 +83,11 @@ pub enum VirtualDepths {
 /// First bytes of a `.npy` file.
 const NPY: &[u8] = b"\x93NUMPY";
 /// Error for an image without a scale.
-const LEVELS: &str = "what its grey levels mean is not known: give A and B if the virtual depth is A + B times the level";
+const LEVELS: &str = "the scale of its grey levels is not known: give A and B, with virtual depth \
+                      = A + B · grey level";
 /// Error for an image with three channels.
-const CHANNELS: &str = "this image has three channels, but a virtual depth is one number: save the map with one channel, not in colours";
+const CHANNELS: &str = "this image has three channels, but a map of virtual depths needs one: save \
+                        it with one channel";
 
 /// Reads virtual depths. In an image, the depth is `scale[0]` + `scale[1]` times the grey level of the file, and level 0 means
 /// no depth. `std_dev` (u, v and ν) replaces σ that a CSV file does not state.
@@ -185,16 +187,16 @@ fn npy_map(path: &Path, mut file: NpyFile) -> std::result::Result<DepthMap, NpyE
     match begin[6] {
         1 => file.read_exact(&mut length[..2])?,
         2 | 3 => file.read_exact(&mut length)?,
-        _ => return Err(wrong("is of a version that is not known: save it with numpy.save")),
+        _ => return Err(wrong("has an unknown version: save it with numpy.save")),
     }
     let length = u32::from_le_bytes(length) as usize;
     if length > LONGEST_HEADER {
-        return Err(wrong("has a header that is too long: save the array alone, with numpy.save"));
+        return Err(wrong("has too long a header: save only the array, with numpy.save"));
     }
     let mut header = vec![0; length];
     file.read_exact(&mut header)?;
     let header = std::str::from_utf8(&header)
-        .map_err(|_| wrong("has a header that is no text: save it again with numpy.save"))?;
+        .map_err(|_| wrong("has a header that is not text: save it again with numpy.save"))?;
     let value = |key: &str| {
         let at = header.find(&format!("'{key}':"))? + key.len() + 3;
         Some(header[at..].trim_start())
@@ -209,7 +211,7 @@ fn npy_map(path: &Path, mut file: NpyFile) -> std::result::Result<DepthMap, NpyE
         }
     };
     if !value("fortran_order").is_some_and(|order| order.starts_with("False")) {
-        return Err(wrong("is in Fortran's order: save numpy.ascontiguousarray of the array"));
+        return Err(wrong("is in Fortran order: save numpy.ascontiguousarray of the array"));
     }
     let shape = value("shape").and_then(|shape| shape.strip_prefix('(')?.split_once(')'));
     let (shape, _) = shape.unwrap_or_default();
@@ -218,13 +220,14 @@ fn npy_map(path: &Path, mut file: NpyFile) -> std::result::Result<DepthMap, NpyE
     let sizes: Option<Vec<usize>> = sizes.collect();
     let Some([height, width]) = sizes.as_deref() else {
         return Err(wrong(
-            "does not have two dimensions, height and width: save the map alone, depths[0] of a stack",
+            "does not have two dimensions, height and width: save one map, for example depths[0] \
+             of a stack",
         ));
     };
     let bytes = width.checked_mul(*height).and_then(|count| count.checked_mul(size));
     match bytes {
         Some(1..) => {}
-        Some(0) => return Err(wrong("is empty: save a map with pixels")),
+        Some(0) => return Err(wrong("has no pixels: save a map with pixels")),
         None => return Err(wrong(OTHER_SHAPE)),
     }
     info!("{} is read piece by piece: {width} x {height} numbers of {size} bytes", path.display());

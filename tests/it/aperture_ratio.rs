@@ -218,7 +218,7 @@ fn columns_of_blur_go_together() {
     let text = fs::read_to_string(FILES.path("found/features.csv")).unwrap();
     let features = FILES.path("broken.csv");
     for (from, to, words) in [
-        ("shared_blur,aperture_ratio", "shared_blur,other", "go together"),
+        ("shared_blur,aperture_ratio", "shared_blur,other", "needed together"),
         (
             "blur,std_blur,shared_blur,aperture_ratio",
             "aperture_ratio,std_blur,shared_blur,blur",

@@ -222,7 +222,7 @@ fn frames_are_excluded_by_ranges() {
     let mut command = plenocal();
     command.arg("calibrate").arg(spoiled.path("project.toml")).args(["--exclude", "7-x", "--out"]);
     let words =
-        predicate::str::contains("no list of frames").and(predicate::str::contains("0-4,7"));
+        predicate::str::contains("not a list of frames").and(predicate::str::contains("0-4,7"));
     command.arg(spoiled.path("out")).assert().failure().stderr(words);
 }
 
@@ -342,8 +342,8 @@ fn impossible_options_are_rejected() {
     );
     spoiled.is_rejected_with(&["--uv-std-dev", "0"], &["(u, v)", "0"]);
     spoiled.is_rejected_with(&["--loss", "huber", "--loss-scale=-1"], &["loss", "-1"]);
-    spoiled.is_rejected_with(&["--loss-scale", "2"], &["no loss", "huber"]);
-    spoiled.is_rejected_with(&["--rho-std-dev", "0.05"], &["rho does not count", "features"]);
+    spoiled.is_rejected_with(&["--loss-scale", "2"], &["without a loss", "huber"]);
+    spoiled.is_rejected_with(&["--rho-std-dev", "0.05"], &["rho is not used", "features"]);
     spoiled.is_rejected_with(&["--uv-std-dev", "-1"], &["(u, v)", "-1"]);
     spoiled.is_rejected_with(&["--mode", "poses-only"], &["--camera"]);
     spoiled.is_rejected_with(&["--threads", "0"], &["threads"]);

@@ -205,9 +205,13 @@ fn edited_truth(from: &str, to: &str) -> File {
 #[test]
 fn a_camera_has_no_other_keys_and_possible_values() {
     for (from, to, words) in [
-        ("\"sensor\"", "\"sensr\"", &["'sensr'", "is 'sensor' meant?"][..]),
-        ("\"version\"", "\"colour\": 1, \"version\"", &["'colour' is no key", "leave it out"]),
-        ("\"pitch_mm\"", "\"pich_mm\"", &["micro_lens_array", "`pich_mm`: is `pitch_mm` meant?"]),
+        ("\"sensor\"", "\"sensr\"", &["'sensr'", "did you mean 'sensor'?"][..]),
+        ("\"version\"", "\"colour\": 1, \"version\"", &["'colour' is not a key", "leave it out"]),
+        (
+            "\"pitch_mm\"",
+            "\"pich_mm\"",
+            &["micro_lens_array", "`pich_mm`: did you mean `pitch_mm`?"],
+        ),
         ("\"version\": 1", "\"version\": \"1\"", &["has to be a number", "\"version\": 2"]),
         ("\"version\": 1", "\"converged\": true", &["has no version"]),
         ("\"focal_length_mm\": 16.2", "\"focal_length_mm\": 1e308", &["F (mm)", "correct it"]),
@@ -223,7 +227,7 @@ fn a_camera_has_no_other_keys_and_possible_values() {
         assert_refused(read_camera_source(&camera.path), &[&["camera.json"], words].concat());
     }
     let nothing = file("camera.json", "null");
-    assert_refused(read_camera_source(&nothing.path), &["camera.json", "nothing in it but null"]);
+    assert_refused(read_camera_source(&nothing.path), &["camera.json", "it contains only null"]);
     let beside = edited_truth(
         "\"version\": 1",
         "\"version\": 1, \"converged\": true, \"boards\": {\"near_mm\": 80, \"far_mm\": 90}, \
@@ -258,7 +262,7 @@ fn boards_lie_before_the_camera_once_each() {
     assert!(read_poses(&poses(&[(0, 80.0), (1, 80.0)]).path).is_ok());
     for (of, words) in [
         ([(0, 80.0), (0, 120.0)], ["frame 0", "two poses"]),
-        ([(0, 80.0), (1, 0.12)], ["frame 1", "in m?"]),
+        ([(0, 80.0), (1, 0.12)], ["frame 1", "not in m"]),
         ([(0, 80.0), (1, -90.0)], ["frame 1", "behind the camera"]),
     ] {
         assert_refused(read_poses(&poses(&of).path), &[&["poses.json"], &words[..]].concat());
@@ -270,11 +274,11 @@ fn tables_of_other_programs_are_recognised() {
     for (text, words) in [
         (&b"k;l;u;v\n1;2;3,5;4,5\n"[..], &["commas", "points"][..]),
         (b"k\tl\tu\tv\n1\t2\t3.5\t4.5\n", &["not by tabs"]),
-        (b"k,l,u,v\n1,2,3,5,4,5\n", &["line 2", "6 columns", "are there commas in its numbers"]),
+        (b"k,l,u,v\n1,2,3,5,4,5\n", &["line 2", "6 columns", "decimal commas"]),
         (b"k,l,u,v\n1,2,\"3,5\",4.5\n", &["line 2", "'3,5'", "write decimals with points"]),
-        (b"k,l,u,v,std_dev\n1,2,3,4,1e-300\n", &["line 2", "nothing is measured to"]),
+        (b"k,l,u,v,std_dev\n1,2,3,4,1e-300\n", &["line 2", "has to be at least"]),
         (b"\xff\xfek\0,\0l\0", &["UTF-16", "save it as UTF-8"]),
-        (b"k,l,u,v\n1,2,3,4\n\xe9,2,3,4\n", &["not in UTF-8"]),
+        (b"k,l,u,v\n1,2,3,4\n\xe9,2,3,4\n", &["not encoded in UTF-8"]),
     ] {
         let centers = file("centers.csv", text);
         assert_refused(read_centers(&centers.path), &[&["centers.csv"], words].concat());
@@ -357,7 +361,7 @@ fn range_errors_of_a_project_name_its_key() {
         ("focus_distance_mm = inf", "focus_distance_mm = -120.0", "focus_distance_mm"),
         ("loss_scale = 3.0", "loss_scale = 0.0", "loss_scale"),
         ("threads = 1", "threads = 0", "threads is 0"),
-        ("uv_std_dev_px = 0.1", "uv_std_dev_px = 1e-300", "nothing is measured to"),
+        ("uv_std_dev_px = 0.1", "uv_std_dev_px = 1e-300", "has to be at least"),
         ("columns = 43", "columns = 4.5", "a whole number from"),
     ] {
         let project = documents::PROJECT.replacen(from, to, 1);

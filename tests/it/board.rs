@@ -307,11 +307,11 @@ fn what_is_known_of_a_board_can_be_stated() {
     options.board = BoardModel::Flat;
     let error = calibrate(&scene.start(), &scene.board, &observations, &options, &mut |_| true)
         .unwrap_err();
-    assert!(error.to_string().contains("sag_x has a prior, but it is fixed"), "{error}");
+    assert!(error.to_string().contains("sag_x has a prior, but is fixed"), "{error}");
     let bent = CalibrationOptions { mode: Mode::PosesOnly, board: BoardModel::Bent, ..defaults() };
     let camera = Start::Camera(scene.camera.clone());
     let error = calibrate(&camera, &scene.board, &observations, &bent, &mut |_| true).unwrap_err();
-    assert!(error.to_string().contains("give the shape that it had"), "{error}");
+    assert!(error.to_string().contains("give the shape from that calibration"), "{error}");
 }
 
 #[test]

@@ -166,7 +166,7 @@ fn what_cannot_be_compared_is_an_error_with_the_reason() {
     assert_eq!(only, [[Parameter::Tangential2]]);
     options.fix.push(Parameter::Tangential2);
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
-    assert!(error(&calibration, 5).contains("no models to compare"));
+    assert!(error(&calibration, 5).contains("free one of them to compare models"));
     options = defaults();
     options.exclude_frames = vec![0, 1, 2];
     let few = run(&datasheet_start(), &shipped_observations(), &options);
@@ -208,6 +208,6 @@ fn the_command_prints_the_comparison_and_has_it_in_its_document() {
     assert_eq!(groups[0]["error_growth"]["frames"].as_array().unwrap().len(), 8);
     // What was asked for and cannot be done is said; the calibration stands.
     let (out, result) = on_command_line(&["--exclude", "0,1,2"]);
-    result.success().stderr(contains("take 6 or more"));
+    result.success().stderr(contains("take at least 6"));
     assert!(out.path().join("camera.json").is_file());
 }

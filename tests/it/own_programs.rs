@@ -263,7 +263,7 @@ fn a_damaged_problem_is_named() {
     spoil("problem.json", &replaced("\"scale\"", "\"scales\""), "scale");
     spoil("poses.json", &replaced("\"frame\": 0", "\"frame\": 90"), "frame 0 has no pose");
     let moved = |text: &str| text.replacen("\n0,", "\n0,7", 1);
-    spoil("features.csv", &moved, "which is not its place on the board");
+    spoil("features.csv", &moved, "which is not its position on the board");
     std::fs::remove_file(path("problem.json")).unwrap();
     evaluated(folder.path(), &["--problem", "problem"])
         .failure()

@@ -126,7 +126,7 @@ fn stops_stand_for_f_numbers_and_wrong_ones_give_a_warning() {
 #[test]
 fn stops_that_make_no_sense_are_rejected() {
     let set = Set::grey();
-    set.with("f_number = 8\n", "f_number = 8\nstop = 8\n").code(1).stderr(contains("and not both"));
+    set.with("f_number = 8\n", "f_number = 8\nstop = 8\n").code(1).stderr(contains("but not both"));
     set.with("f_number = 8\n", "stop = -8\n").code(1).stderr(contains("a stop of -8"));
     assert!(!set.path("results").exists());
 }
@@ -158,7 +158,7 @@ fn damaged_images_are_rejected_by_name() {
     fs::write(&image, &bytes[..bytes.len() / 2]).unwrap();
     set.run("project.toml").code(1).stderr(contains("devignetting.png: this PNG file is cut off"));
     fs::write(&image, "no image").unwrap();
-    set.run("devignetting.png").code(1).stderr(contains("no PNG, TIFF"));
+    set.run("devignetting.png").code(1).stderr(contains("not PNG, TIFF"));
     assert!(!set.path("results").exists());
 }
 
@@ -172,7 +172,9 @@ fn images_that_are_empty_or_of_other_samples_are_rejected_by_name() {
     }
     let float = folder.path().join("float.tif");
     image::Rgb32FImage::new(8, 8).save(&float).unwrap();
-    run(&float, &out).code(1).stderr(contains("float.tif").and(contains("from 0 to 1, by 65535")));
+    run(&float, &out)
+        .code(1)
+        .stderr(contains("float.tif").and(contains("by 65535 if they go from 0 to 1")));
     assert!(!out.exists());
 }
 

@@ -252,7 +252,7 @@ fn bad_priors_are_errors_that_name_them() {
         ("F=16", "NAME=VALUE:SIGMA"),
         ("F", "NAME=VALUE:SIGMA"),
         ("F=16:x", "NAME=VALUE:SIGMA"),
-        ("dC_ratio=1:0.1", "dC_ratio has a prior, but it is fixed"),
+        ("dC_ratio=1:0.1", "dC_ratio has a prior, but is fixed"),
         ("F=16:1,F=17:1", "second prior"),
     ] {
         calibrate(&["--prior", argument], "").code(1).stderr(contains(words));

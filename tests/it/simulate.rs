@@ -367,7 +367,7 @@ fn bad_files_of_poses_are_rejected() {
 fn an_output_folder_that_is_a_file_is_rejected() {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("out"), "in the way").unwrap();
-    rejected(folder.path(), &[]).stderr(contains("is a file, but results go into a folder"));
+    rejected(folder.path(), &[]).stderr(contains("is a file, but results need a folder"));
 }
 
 #[test]

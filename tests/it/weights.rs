@@ -165,7 +165,7 @@ fn an_impossible_standard_deviation_is_an_error_with_its_line() {
     let folder = TempDir::new().unwrap();
     let features = fs::read_to_string(synthetic_folder().join("features.csv")).unwrap();
     for (value, words) in [
-        ("0", "std_rho is 0, but a standard deviation is positive"),
+        ("0", "std_rho is 0, but a standard deviation has to be positive"),
         ("-0.1", "std_rho is -0.1"),
         ("wide", "std_rho is 'wide', not a number"),
     ] {

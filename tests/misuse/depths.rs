@@ -223,7 +223,7 @@ fn maps() -> Vec<(&'static str, Vec<u8>, &'static [&'static str], Expected)> {
         ),
         ("turned", npy(&of("<f4", "False", "(1000, 750)"), &plane), &[], Refused(&["750 x 1000"])),
         (
-            "in Fortran's order",
+            "in Fortran order",
             npy(&of("<f4", "True", "(750, 1000)"), &plane),
             &[],
             Refused(&["Fortran"]),

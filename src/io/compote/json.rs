@@ -78,20 +78,20 @@ impl Integer {
     pub(super) fn positive(self, name: &str) -> Result<i32> {
         match i32::try_from(self.0) {
             Ok(value) if value > 0 => Ok(value),
-            _ => Err(Error::invalid(format!("the {name} is {}; that is not possible", self.0))),
+            _ => Err(Error::invalid(format!("the {name} is {}, which is not possible", self.0))),
         }
     }
 
     pub(super) fn count(self, name: &str) -> Result<usize> {
         usize::try_from(self.0)
-            .map_err(|_| Error::invalid(format!("{name} is {}; it cannot be negative", self.0)))
+            .map_err(|_| Error::invalid(format!("{name} is {}, but must not be negative", self.0)))
     }
 }
 
 impl Vector {
     pub(super) fn fixed<const N: usize>(&self, name: &str) -> Result<[f64; N]> {
         self.0.as_slice().try_into().map_err(|_| {
-            Error::invalid(format!("{name} has {} numbers instead of {N}", self.0.len()))
+            Error::invalid(format!("{name} has {} numbers, but needs {N}", self.0.len()))
         })
     }
 }

@@ -28,7 +28,7 @@ pub(in crate::io) fn linked_observations(bytes: &[u8]) -> Result<Observations> {
     })?;
     if data.len() as u64 > MAX_BYTES {
         return Err(Error::invalid(format!(
-            "it unpacks to more than {} MB; no set of observations is that large",
+            "it unpacks to more than {} MB, the limit for observations",
             MAX_BYTES >> 20
         )));
     }
@@ -68,14 +68,14 @@ fn sections(data: &[u8]) -> Result<Observations> {
     let corners = section(&mut rest, "corners", FEATURE_BYTES, feature)?;
     if !corners.is_empty() {
         return Err(Error::invalid(format!(
-            "there are {} corners that are not labelled with their board corner; only linked features can be used",
+            "{} features have no board corner: give linked features (COMPOTE's .bin.gz)",
             corners.len()
         )));
     }
     let features = section(&mut rest, "features", FEATURE_BYTES, feature)?;
     if !rest.is_empty() {
         return Err(Error::invalid(format!(
-            "{} bytes follow the last section; this is not a file of linked observations",
+            "{} bytes follow the last section: this is not a file of linked observations",
             rest.len()
         )));
     }
@@ -115,7 +115,7 @@ fn f64_at(record: &[u8], offset: usize) -> Result<f64> {
         return Ok(value);
     }
     Err(Error::invalid(format!(
-        "the observation of micro-image ({}, {}) contains {value}, not a finite number",
+        "the observation of micro-image ({}, {}) contains {value}, which is not a finite number",
         i32_at(record, 0),
         i32_at(record, 4)
     )))

@@ -139,8 +139,8 @@ fn reader_of<R: io::BufRead + io::Seek>(file: R) -> Result<(ImageReader<R>, &'st
         Some(ImageFormat::Jpeg) => "JPEG",
         _ => {
             return Err(Error::invalid(
-                "this is no PNG, TIFF, BMP, PGM, PPM or JPEG file, whatever its name says: save the image as PNG or TIFF \
-                 with 8 or 16 bits",
+                "the content is not PNG, TIFF, BMP, PGM, PPM or JPEG: save the image as PNG or \
+                 TIFF with 8 or 16 bits",
             ));
         }
     };
@@ -166,8 +166,8 @@ fn samples_of(decoded: DynamicImage) -> Result<Decoded> {
         }
         other => {
             return Err(Error::invalid(format!(
-                "samples of the kind {:?} are not supported: save the image with whole numbers of 8 or 16 bits, linear in \
-                 light",
+                "samples of type {:?} are not supported: save the image with integers of 8 or 16 \
+                 bits, linear in light",
                 other.color()
             )));
         }
@@ -180,7 +180,7 @@ fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
     let Decoded { width, height, color: stored, samples } = decoded;
     if width == 0 || height == 0 {
         return Err(Error::invalid(format!(
-            "this image of {width} x {height} px is empty: save it again"
+            "this image of {width} x {height} px has no pixels: save it again"
         )));
     }
     // In a contradictory header, the decoder may use another part than this function.
@@ -201,8 +201,8 @@ fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
         (Some(color), _) => {
             let channels = stored.samples();
             return Err(Error::invalid(format!(
-                "this image has {channels} channel(s), but is said to be '{}': correct the colour, or give the image as \
-                 the camera delivered it",
+                "this image has {channels} channel(s), but its colour is stated as '{}': correct \
+                 the colour, or give the image as the camera delivered it",
                 color.name()
             )));
         }
@@ -225,16 +225,16 @@ fn damaged(format: &str) -> Error {
 /// Creates the error for a file that cannot be decoded.
 fn unreadable(format: &str, reason: &dyn Display) -> Error {
     Error::invalid(format!(
-        "this {format} file cannot be read ({reason}): copy it again if it is damaged; else save the image as PNG or TIFF \
-         with 8 or 16 bits, grey or RGB"
+        "this {format} file cannot be read ({reason}): copy it again if it is damaged, or save the \
+         image as PNG or TIFF with 8 or 16 bits, grey or RGB"
     ))
 }
 
 fn refused(format: &str, error: &ImageError) -> Error {
     match error {
         ImageError::Limits(_) => Error::invalid(format!(
-            "this {format} file states a size for which more than {} MB of memory are needed: give an image of a camera, \
-             not larger than that",
+            "this {format} file states a size that needs more than {} MB of memory, the limit: \
+             give a smaller image",
             LIMIT_BYTES >> 20
         )),
         error if is_end_of_file(error) => cut_off(format),
@@ -262,8 +262,8 @@ fn is_end_of_file(error: &(dyn StdError + 'static)) -> bool {
 
 fn too_large(width: u32, height: u32) -> Error {
     Error::invalid(format!(
-        "this image of {width} x {height} px takes more than {} MB of memory, which is the limit: give an image of a \
-         camera, not larger than that",
+        "this image of {width} x {height} px needs more than {} MB of memory, the limit: give a \
+         smaller image",
         LIMIT_BYTES >> 20
     ))
 }

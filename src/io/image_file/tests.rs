@@ -215,8 +215,8 @@ fn numbers_that_are_no_grey_levels_are_refused_with_what_to_do() {
     let floats = |of: &dyn Fn(f32) -> f32| {
         tiff_of::<colortype::Gray32Float>(&all(|i| of(f32::from(level(i)))), false)
     };
-    assert_refused(&floats(&|s| s / 251.0), &["from 0 to 0.99", "from 0 to 1, by 65535"]);
-    assert_refused(&floats(&|s| s), &["to 250", "8 bits, multiply by 257"]);
+    assert_refused(&floats(&|s| s / 251.0), &["from 0 to 0.99", "by 65535 if they go from 0 to 1"]);
+    assert_refused(&floats(&|s| s), &["to 250", "by 257 if they are grey levels of 8 bits"]);
     assert_refused(&floats(&|s| 16.0 * s - 3.0), &["down to -3", "dark image", "black_level"]);
     assert_refused(&floats(&|s| 1000.0 * s), &["up to 250000", "divide all images"]);
     assert_refused(&floats(&|s| if s < 1.0 { f32::NAN } else { 2000.0 }), &["NaN"]);
@@ -256,7 +256,7 @@ fn palettes_transparency_and_few_bits_are_read() {
 
 #[test]
 fn other_files_and_sizes_are_refused_with_a_reason() {
-    assert_refused(b"<html>not found</html>", &["no PNG, TIFF", "save the image as"]);
+    assert_refused(b"<html>not found</html>", &["not PNG, TIFF", "save the image as"]);
     let huge = [(256, vec![65_535]), (257, vec![65_535]), (262, vec![1])];
     let mut tags = described(&[8], &[]);
     tags.retain(|(tag, ..)| *tag != 256 && *tag != 257);

@@ -126,12 +126,13 @@ pub fn decode(bytes: &[u8]) -> Result<Option<Decoded>> {
     }
     if let Some(samples) = of_page.unknown_channels {
         return Err(Error::invalid(format!(
-            "this TIFF file has {samples} channels and does not say what they are: save it with one channel, or as RGB"
+            "this TIFF file has {samples} channels of unknown meaning: save it with one channel, \
+             or as RGB"
         )));
     }
     let edges = u32::try_from(of_page.width).ok().zip(u32::try_from(of_page.height).ok());
     let Some((width, height)) = edges else {
-        return Err(unreadable("TIFF", &"its size is not possible"));
+        return Err(unreadable("TIFF", &"its size is not valid"));
     };
     let mut bytes = std::borrow::Cow::Borrowed(bytes);
     if let Some((_, at)) = &of_page.palette {
@@ -157,8 +158,8 @@ pub fn decode(bytes: &[u8]) -> Result<Option<Decoded>> {
     within_limit(width, height, size.saturating_mul(channels as u64))?;
     if of_page.photometric == Some(WHITE_IS_ZERO) && !of_page.unsigned {
         return Err(Error::invalid(
-            "0 is white in this TIFF file, but its samples are no whole numbers above 0, so that black is not known: save \
-             it with 0 for black",
+            "this TIFF file has 0 for white and samples that are not positive integers, so black \
+             is not known: save it with 0 for black",
         ));
     }
     let mut buffer = DecodingResult::U8(Vec::new());
@@ -283,7 +284,7 @@ fn as_levels(numbers: &[f64], kind: &str, rounded: bool) -> Result<Samples> {
     for &number in numbers {
         if !number.is_finite() {
             return Err(Error::invalid(format!(
-                "a sample of this TIFF file is {number}: give every pixel a grey level"
+                "a sample of this TIFF file is {number}: give every pixel a finite grey level"
             )));
         }
         (least, most) = (least.min(number), most.max(number));
@@ -291,8 +292,9 @@ fn as_levels(numbers: &[f64], kind: &str, rounded: bool) -> Result<Samples> {
     let same = "save all images, white images and boards, with 16 bits";
     if least.round() < 0.0 {
         return Err(Error::invalid(format!(
-            "the samples of this TIFF file go down to {least}, as where a dark image was subtracted, but grey levels begin \
-             at 0: add the same number to all images, {same}, and give it as black_level in [images]"
+            "the samples of this TIFF file go down to {least} (a subtracted dark image?), but grey \
+             levels begin at 0: add the same number to all images, {same}, and state it as \
+             black_level in [images]"
         )));
     }
     if most.round() > MOST {
@@ -303,8 +305,9 @@ fn as_levels(numbers: &[f64], kind: &str, rounded: bool) -> Result<Samples> {
     }
     if rounded && most < LEAST_WITH_FRACTIONS {
         return Err(Error::invalid(format!(
-            "the samples of this TIFF file are {kind} from {least} to {most}, and what is full is not known: if they are \
-             grey levels of a camera of 8 bits, multiply by 257, if they go from 0 to 1, by 65535, and {same}"
+            "the samples of this TIFF file are {kind} from {least} to {most}, and full scale is \
+             not known: multiply them by 257 if they are grey levels of 8 bits, or by 65535 if \
+             they go from 0 to 1, and {same}"
         )));
     }
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within 16 bits
@@ -324,7 +327,7 @@ fn colored(numbers: &Decoded, map: &[u64]) -> Result<Decoded> {
     };
     if pixels.iter().any(|&number| number >= colors) {
         return Err(Error::invalid(
-            "this TIFF file has a colour that its palette lacks: save it without a palette",
+            "this TIFF file has a pixel outside its palette: save it without a palette",
         ));
     }
     let of = |number: usize| (0..color.samples()).map(move |channel| channel * colors + number);
