@@ -12,7 +12,10 @@ const MAY_BE_INFINITE: [&str; 3] = ["focus_distance_mm", "radius_mm", "full_well
 /// Returns an error if the text has another form, or names a value inside another that is not a table.
 pub(crate) fn replace(table: &mut Table, pair: &str) -> Result<()> {
     let (key, text) = pair.split_once('=').ok_or_else(|| {
-        Error::invalid(format!("'{pair}' sets nothing; write KEY=VALUE, with the tables that hold the key, as in imaging.bits=16"))
+        Error::invalid(format!(
+            "'{pair}' is not a setting: write KEY=VALUE with the tables of the key, as in \
+             imaging.bits=16"
+        ))
     })?;
     let text = text.trim();
     if text.contains('\n') {

@@ -676,7 +676,7 @@ mod tests {
         for (text, words) in [
             ("method = \"other\"", "method: unknown variant `other`"),
             ("methd = \"paper\"", "unknown field `methd`, expected one of `method`, `exclude"),
-            ("loss = \"hubr\"", "loss: 'hubr' is no loss"),
+            ("loss = \"hubr\"", "loss: 'hubr' is not a loss"),
             ("mode = \"x\"", "mode: unknown variant `x`, expected one of `full`"),
             ("max_iterations = -1", "max_iterations: "),
             ("priors.F = 3", "priors"),

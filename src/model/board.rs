@@ -74,12 +74,12 @@ impl Board {
         let possible = 2..=MAX_BOARD_CORNERS;
         if !possible.contains(&self.columns) || !possible.contains(&self.rows) {
             return Err(Error::invalid(format!(
-                "a board of {} x {} inner corners cannot be used; columns and rows are from 2 to \
-                 {MAX_BOARD_CORNERS}",
+                "a board of {} x {} inner corners is not possible: columns and rows have to be \
+                 from 2 to {MAX_BOARD_CORNERS}",
                 self.columns, self.rows
             )));
         }
-        positive(self.square_mm, "the edge of the board's squares (square_mm)")
+        positive(self.square_mm, "the size of the squares of the board (square_mm)")
     }
 }
 

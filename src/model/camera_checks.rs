@@ -22,7 +22,7 @@ impl PlenopticCamera {
             positive(setting.f_number, "the f-number of the main lens (f_number)")?;
             if setting.focus_distance_mm.is_nan() || setting.focus_distance_mm <= 0.0 {
                 return Err(Error::invalid(format!(
-                    "the focus distance of the main lens (mm) is {}: it has to be positive, or inf",
+                    "the focus distance of the main lens is {} mm, but has to be positive, or inf",
                     setting.focus_distance_mm
                 )));
             }
@@ -38,20 +38,23 @@ impl PlenopticCamera {
             let is_tiny = parameter.is_positive() && value < 1.0 / LARGEST;
             if !value.is_finite() || value.abs() > LARGEST || is_tiny {
                 return Err(Error::invalid(format!(
-                    "the camera's {parameter}{unit} is {value}, which is that of no camera: correct it, or calibrate again"
+                    "the camera's {parameter}{unit} is {value}, which is outside the range of \
+                     cameras: correct it, or calibrate again"
                 )));
             }
         }
         if self.mla.rotation_rad.amax() > TAU {
             return Err(Error::invalid(format!(
-                "the array is rotated by ({}, {}, {}) rad (rotation_rad), more than a whole turn: are these degrees?",
+                "the array is rotated by ({}, {}, {}) rad (rotation_rad), more than a whole turn: \
+                 give radians instead of degrees",
                 self.mla.rotation_rad.x, self.mla.rotation_rad.y, self.mla.rotation_rad.z
             )));
         }
-        positive(self.pupil_to_mla_mm(), "the camera's D + e_z, exit pupil to array (mm),")?;
         positive(
-            self.main_lens.pupil_magnification(),
-            "the camera's 1 + e_z/F, the magnification of its pupil,",
-        )
+            self.pupil_to_mla_mm(),
+            "the camera's distance D + e_z from exit pupil to array \
+                                          (mm)",
+        )?;
+        positive(self.main_lens.pupil_magnification(), "the camera's pupil magnification 1 + e_z/F")
     }
 }

@@ -7,6 +7,6 @@ pub(crate) fn positive(value: f64, name: &str) -> Result<()> {
     if value.is_finite() && value > 0.0 {
         Ok(())
     } else {
-        Err(Error::invalid(format!("{name} is {value}; it has to be positive and finite")))
+        Err(Error::invalid(format!("{name} is {value}, but has to be positive and finite")))
     }
 }

@@ -99,9 +99,9 @@ impl Datasheet {
         let half_diagonal_mm = self.sensor.half_diagonal_mm();
         if half_diagonal_mm > WIDEST * self.focal_length_mm {
             return Err(Error::invalid(format!(
-                "with F = {} mm the corners of a sensor with a diagonal of {:.1} mm would see {:.0} degrees off the axis, \
-                 which no lens shows: check the focal length (focal_length_mm) and the size of a pixel (pixel_size_mm), \
-                 both in mm",
+                "with F = {} mm a sensor with a diagonal of {:.1} mm would have a half field angle \
+                 of {:.0} degrees, which no lens covers: check the focal length (focal_length_mm) \
+                 and the pixel size (pixel_size_mm), both in mm",
                 self.focal_length_mm,
                 2.0 * half_diagonal_mm,
                 (half_diagonal_mm / self.focal_length_mm).atan().to_degrees()
@@ -110,8 +110,8 @@ impl Datasheet {
         // The sum of object and image distance of a thin lens is at least 4F.
         if self.focus_distance_mm.is_nan() || self.focus_distance_mm < 4.0 * self.focal_length_mm {
             return Err(Error::invalid(format!(
-                "a focus distance of {} mm is not possible with F = {} mm: focus_distance_mm is measured from the \
-                 sensor and is at least 4 F",
+                "a focus distance of {} mm is not possible with F = {} mm: focus_distance_mm is \
+                 measured from the sensor and has to be at least 4 F",
                 self.focus_distance_mm, self.focal_length_mm
             )));
         }
@@ -170,14 +170,15 @@ impl InternalParameters {
         if lens_types != 0 && self.q_prime_mm.len() != lens_types {
             return Err(Error::invalid(format!(
                 "the camera has I = {lens_types} lens types, but the internal parameters have {} \
-                 values of q'; both have to belong to the same camera",
+                 values of q': give both for the same camera",
                 self.q_prime_mm.len()
             )));
         }
         for std_dev in self.m_std_dev_mm.iter().chain(&self.q_prime_std_dev_mm) {
             if !(std_dev.is_finite() && *std_dev >= 0.0) {
                 return Err(Error::invalid(format!(
-                    "a standard deviation of the internal parameters is {std_dev}"
+                    "a standard deviation of the internal parameters is {std_dev}, but has to be 0 \
+                     or more and finite"
                 )));
             }
         }
@@ -201,7 +202,7 @@ impl InternalParameters {
         let given = self.q_prime_std_dev_mm.len();
         if given != 0 && given != self.q_prime_mm.len() {
             return Err(Error::invalid(format!(
-                "there are {} values of q', but {given} standard deviations of them",
+                "there are {} values of q', but {given} standard deviations",
                 self.q_prime_mm.len()
             )));
         }

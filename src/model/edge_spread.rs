@@ -47,7 +47,7 @@ pub fn at_most_full(aperture_ratio: &Estimate) -> Estimate {
 pub(crate) fn check_aperture_ratio(ratio: &Estimate) -> Result<()> {
     if !APERTURE_RATIOS.contains(&ratio.value) {
         return Err(Error::invalid(format!(
-            "an aperture ratio of {} is not possible: it has to be from {} to {}",
+            "an aperture ratio of {} is not possible: give a value from {} to {}",
             ratio.value,
             APERTURE_RATIOS.start(),
             APERTURE_RATIOS.end()
@@ -60,7 +60,7 @@ pub(crate) fn check_aperture_ratio(ratio: &Estimate) -> Result<()> {
 pub(crate) fn check_point_spread(spread_px2: &Estimate) -> Result<()> {
     if !(0.0..=MOST_PX2).contains(&spread_px2.value) {
         return Err(Error::invalid(format!(
-            "the variance of the point spread is {} px²: it has to be from 0 to {MOST_PX2}",
+            "the variance of the point spread is {} px², but has to be from 0 to {MOST_PX2}",
             spread_px2.value
         )));
     }
@@ -72,7 +72,7 @@ fn check_std_dev(name: &str, estimate: &Estimate) -> Result<()> {
         return Ok(());
     }
     Err(Error::invalid(format!(
-        "the standard deviation of the {name} is {}: it has to be 0 or more",
+        "the standard deviation of the {name} is {}, but has to be 0 or more",
         estimate.std_dev
     )))
 }

@@ -247,12 +247,13 @@ pub(crate) fn check_array_size(columns: i32, rows: i32) -> Result<()> {
             return Ok(());
         }
         return Err(Error::invalid(format!(
-            "a micro-lens array of {columns} x {rows} is not possible: it may have {MOST_IN_ALL} in all"
+            "a micro-lens array of {columns} x {rows} is not possible: the limit is {MOST_IN_ALL} \
+             micro-lenses"
         )));
     }
     Err(Error::invalid(format!(
-        "a micro-lens array of {columns} x {rows} is not possible: each side takes 1 to \
-         {MAX_MICRO_LENSES}"
+        "a micro-lens array of {columns} x {rows} is not possible: each side has to have 1 to \
+         {MAX_MICRO_LENSES} micro-lenses"
     )))
 }
 
@@ -261,8 +262,8 @@ pub(crate) fn check_lens_types(types: usize, kind: LatticeKind) -> Result<()> {
     match (types, kind) {
         (0 | 1, _) | (3, LatticeKind::HexagonalRows | LatticeKind::HexagonalColumns) => Ok(()),
         _ => Err(Error::invalid(format!(
-            "{types} lens types on the lattice '{}' are not known: give 0 (pinholes) or 1, or 3 on a \
-             hexagonal lattice",
+            "{types} lens types on the lattice '{}' are not supported: give 0 (pinholes) or 1, or \
+             3 on a hexagonal lattice",
             kind.name()
         ))),
     }

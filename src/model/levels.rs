@@ -41,21 +41,21 @@ impl SampleLevels {
     pub(crate) fn validate(&self) -> Result<()> {
         if self.bits != 8 && self.bits != 16 {
             return Err(Error::invalid(format!(
-                "levels of files with {} bits cannot be used; files have 8 or 16",
+                "levels of files with {} bits are not supported: files have 8 or 16 bits",
                 self.bits
             )));
         }
         let largest = self.saturation_level.unwrap_or_else(|| full_scale(self.bits));
         if !(largest > 0.0 && largest <= full_scale(self.bits)) {
             return Err(Error::invalid(format!(
-                "a saturation level of {largest} is not possible in files of {} bits",
+                "a saturation level of {largest} is not possible in files with {} bits",
                 self.bits
             )));
         }
         if !(0.0..largest).contains(&self.black_level) {
             return Err(Error::invalid(format!(
-                "a black level of {} grey levels is not possible in files of {} bits whose pixels are \
-                 full at {largest}: give the mean sample of an image without light",
+                "a black level of {} grey levels is not possible in files with {} bits and \
+                 saturation at {largest}: give the mean sample of an image without light",
                 self.black_level, self.bits
             )));
         }

@@ -173,7 +173,8 @@ fn check_feature(
     check_std_devs(std_devs.chain(of_blur), &what)?;
     if !(0..board.corners()).contains(&f.corner) {
         return Err(Error::invalid(format!(
-            "{what} is not on the board of {} x {} inner corners: they count from 0 to {}, as row · columns + column",
+            "{what} is not on the board of {} x {} inner corners: corners are numbered from 0 to \
+             {}, as row · columns + column",
             board.columns,
             board.rows,
             board.corners() - 1
@@ -225,12 +226,14 @@ fn check_position(
     sensor: &Sensor,
 ) -> Result<()> {
     if !(u.is_finite() && v.is_finite()) {
-        return Err(Error::invalid(format!("{what} is at ({u}, {v}): not finite numbers")));
+        return Err(Error::invalid(format!(
+            "{what} is at ({u}, {v}), but has to have a finite position"
+        )));
     }
     if !(0..columns).contains(&k) || !(0..rows).contains(&l) {
         return Err(Error::invalid(format!(
-            "{what} is outside the array of {columns} x {rows} micro-lenses: the camera's array \
-             size and the observations do not belong together"
+            "{what} is outside the array of {columns} x {rows} micro-lenses: the size of the array \
+             and the observations do not belong together"
         )));
     }
     let inside = |x: f64, size: u32| (-BEYOND_PX..=f64::from(size) - 1.0 + BEYOND_PX).contains(&x);
@@ -261,7 +264,7 @@ fn check_rho(rho_px: Option<f64>, is_needed: bool, what: &str, sensor: &Sensor) 
 fn check_std_devs<'a>(values: impl IntoIterator<Item = &'a f64>, what: &str) -> Result<()> {
     match values.into_iter().find(|value| !(value.is_finite() && **value > 0.0)) {
         Some(value) => Err(Error::invalid(format!(
-            "{what} has the standard deviation {value} px; it has to be positive and finite"
+            "{what} has the standard deviation {value} px, but it has to be positive and finite"
         ))),
         None => Ok(()),
     }

@@ -158,7 +158,7 @@ impl FromStr for Parameter {
     fn from_str(name: &str) -> Result<Self, Error> {
         Self::ALL.into_iter().find(|parameter| parameter.name() == name).ok_or_else(|| {
             Error::invalid(format!(
-                "there is no parameter '{name}'; there are {}",
+                "there is no parameter '{name}'; the parameters are {}",
                 Self::ALL.map(Self::name).join(", ")
             ))
         })
@@ -189,7 +189,7 @@ macro_rules! places {
             pub fn value(&self, parameter: Parameter) -> f64 {
                 match parameter {
                     $(Parameter::$id => self.$($place).+ $([$index])?,)*
-                    _ => panic!("{parameter} is no parameter of this"),
+                    _ => panic!("{parameter} is not a parameter of this"),
                 }
             }
 
@@ -200,7 +200,7 @@ macro_rules! places {
             pub fn set(&mut self, parameter: Parameter, value: f64) {
                 match parameter {
                     $(Parameter::$id => self.$($place).+ $([$index])? = value,)*
-                    _ => panic!("{parameter} is no parameter of this"),
+                    _ => panic!("{parameter} is not a parameter of this"),
                 }
             }
         }

@@ -65,8 +65,8 @@ impl Sensor {
         let pixels = self.pixels();
         if pixels > MOST_PIXELS {
             return Err(Error::invalid(format!(
-                "a sensor of {} x {} pixels has {pixels}, and the limit is {MOST_PIXELS}: give width_px and height_px of \
-                 the images",
+                "a sensor of {} x {} pixels has {pixels} pixels, but the limit is {MOST_PIXELS}: \
+                 give width_px and height_px of the images",
                 self.width_px, self.height_px
             )));
         }
@@ -75,8 +75,8 @@ impl Sensor {
             return Ok(());
         }
         Err(Error::invalid(format!(
-            "a pixel of {} mm is that of no sensor: pixel_size_mm is the distance between neighbouring pixels in mm, \
-             0.0055 for 5.5 µm",
+            "a pixel size of {} mm is not possible: pixel_size_mm is the distance between \
+             neighbouring pixels in mm, 0.0055 for 5.5 µm",
             self.pixel_size_mm
         )))
     }

@@ -57,7 +57,8 @@ impl TiltGradient {
         }
         if let Some(std_dev) = self.std_dev_per_px.iter().find(|s| !possible(s)) {
             return Err(Error::invalid(format!(
-                "std_dev_per_px of the tilt gradient of the array is {std_dev}: it has to be above 0"
+                "std_dev_per_px of the tilt gradient of the array is {std_dev}, but has to be \
+                 above 0"
             )));
         }
         let within =
@@ -65,7 +66,8 @@ impl TiltGradient {
         let mut parts = self.shared_per_px.iter().zip(&self.std_dev_per_px);
         match parts.find(|part| !within(part)) {
             Some((shared, _)) => Err(Error::invalid(format!(
-                "shared_per_px of the tilt gradient of the array is {shared}: it has to be within its σ"
+                "shared_per_px of the tilt gradient of the array is {shared}, but must not exceed \
+                 std_dev_per_px"
             ))),
             None => Ok(()),
         }

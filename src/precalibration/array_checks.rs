@@ -21,8 +21,8 @@ pub(super) fn over_exposed(image: &Grey) -> Option<Error> {
     let full = full_part(&image.part(0, 0, width, height));
     (full > MOSTLY_FULL).then(|| {
         Error::invalid(format!(
-            "{:.0} % of its pixels are full, and no array of micro-images shows: expose it less, so that the light inside \
-             micro-images is below full scale",
+            "{:.0} % of its pixels are saturated, and no array of micro-images was found: reduce \
+             the exposure until the light in the micro-images is below full scale",
             100.0 * full
         ))
     })

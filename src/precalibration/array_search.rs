@@ -45,7 +45,7 @@ pub fn lattice_centers(
     let indexing = Indexing::possible(&pattern, &nodes, None)?;
     let indexing = indexing
         .first()
-        .ok_or_else(|| Error::invalid("it holds no centre: give a larger image"))?;
+        .ok_or_else(|| Error::invalid("the image contains no centre: give a larger image"))?;
     let center =
         |&node: &(i32, i32)| indexing.center(&pattern, node, &pattern.place(node.0, node.1), None);
     Ok(nodes.iter().map(center).collect())
@@ -63,7 +63,7 @@ pub fn lattice_orientation(steps: &Matrix2<f64>) -> Result<(LatticeKind, f64, Ma
 fn known(steps: &Matrix2<f64>) -> Result<Pattern> {
     of_steps(steps).ok_or_else(|| {
         Error::invalid(
-            "its steps make neither a hexagonal nor a square lattice with a pitch from 5 to 90 px",
+            "its steps form neither a hexagonal nor a square lattice with a pitch from 5 to 90 px",
         )
     })
 }
@@ -93,7 +93,7 @@ fn search(image: &Grey, known: Option<Pattern>, stated: Option<(i32, i32)>) -> R
     let possible = Indexing::possible(&pattern, &lit_nodes(&statuses), stated)?;
     let Some(indexing) = possible.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
         return Err(Error::invalid(
-            "the micro-images cannot be counted: give a white image of the whole array",
+            "the micro-images cannot be indexed: give a white image of the whole array",
         ));
     };
     let lattice = indexing.lattice(pattern.kind);
@@ -146,8 +146,8 @@ pub(super) fn fit_found(
 
 fn no_grid(centers: &[MicroImageCenter]) -> Error {
     Error::invalid(format!(
-        "{} micro-images show in the image, but they make no grid: give a white image, sharp, \
-         undistorted and not stretched, of a larger part of the array",
+        "{} micro-images were found, but they do not form a grid: give a sharp, undistorted and \
+         unstretched white image of a larger part of the array",
         centers.len()
     ))
 }
@@ -173,7 +173,7 @@ fn find(image: &Grey, known: Option<Pattern>) -> Result<(Pattern, Vec<Blob>)> {
         return Ok(found);
     }
     Err(Error::invalid(
-        "no array of micro-images shows in this image: nothing repeats on a hexagonal or square \
-         lattice with a pitch from 5 to 90 px; give a white image, neither black nor saturated",
+        "no array of micro-images was found: nothing repeats on a hexagonal or square lattice with \
+         a pitch from 5 to 90 px; give a white image that is neither black nor saturated",
     ))
 }

@@ -63,7 +63,7 @@ fn check_f_numbers(whites: &[White]) -> Result<()> {
     numbers.dedup();
     if numbers.len() < 2 {
         return Err(Error::invalid(format!(
-            "there are white images at {} f-number(s), but the internal parameters take at least \
+            "there are white images at {} f-number(s), but the internal parameters need at least \
              two, better five: stop the main lens down between them",
             numbers.len()
         )));
@@ -75,7 +75,7 @@ fn check_sizes(whites: &[White], reference: &White) -> Result<()> {
     let size = |white: &White| (white.image.width, white.image.height);
     match whites.iter().find(|white| size(white) != size(reference)) {
         Some(white) => Err(Error::invalid(format!(
-            "{} has {} x {} px, but {} has {} x {} px: all white images have to be of one camera",
+            "{} has {} x {} px, but {} has {} x {} px: give white images of one camera",
             white.name,
             white.image.width,
             white.image.height,

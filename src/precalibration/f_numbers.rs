@@ -152,8 +152,8 @@ impl Sizes<'_> {
             .map(|(white, n)| format!("{} f/{n:.2} and not f/{:.2}", white.name, white.f_number))
             .collect();
         Error::invalid(format!(
-            "the f-numbers of white images are swapped: by the size of their micro-images {}. Correct their \
-             f-numbers",
+            "the f-numbers of white images are swapped: by the size of the micro-images {}. \
+             Correct their f-numbers",
             list.join(", ")
         ))
     }

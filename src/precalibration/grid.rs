@@ -103,7 +103,7 @@ fn fit_regular_grid(
 ) -> Result<MicroImageArray> {
     if centers.len() < MIN_CENTERS {
         return Err(Error::invalid(format!(
-            "{} micro-image centres are too few for a grid, which takes at least {MIN_CENTERS}",
+            "{} micro-image centres are too few for a grid, which needs at least {MIN_CENTERS}",
             centers.len()
         )));
     }
@@ -118,13 +118,13 @@ fn fit_regular_grid(
     let fits = all_fits(kind);
     if fits.len() > 1 && fits.iter().all(Fit::fits) {
         return Err(Error::invalid(
-            "the micro-image centres lie in one row, or are too few to decide which rows \
-             are shifted; give centres from all over the image",
+            "the micro-image centres lie in one row, or are too few to decide which rows are \
+             shifted: give centres over the whole image",
         ));
     }
     let Some(best) = best_of(fits) else {
         return Err(Error::invalid(
-            "the micro-image centres do not span a grid: they lie in one row or in one place",
+            "the micro-image centres do not span a grid: they lie in one row or at one point",
         ));
     };
     if best.fits() {
@@ -139,13 +139,16 @@ fn fit_regular_grid(
             .map(LatticeKind::name)
             .collect();
     let remedy = if others.is_empty() {
-        "and on no other lattice either; check their indices".to_owned()
+        "and not on another lattice; check their indices".to_owned()
     } else {
-        format!("but on the lattice '{}'; set that in the camera's file", others.join("' and '"))
+        format!(
+            "but on the lattice '{}'; state this lattice in the file of the camera",
+            others.join("' and '")
+        )
     };
     Err(Error::invalid(format!(
-        "the micro-image centres do not lie on a '{}' lattice: they are typically {:.2} px away at \
-         a pitch of {:.2} px, {remedy}",
+        "the micro-image centres do not lie on a '{}' lattice: their typical distance from it \
+         is {:.2} px at a pitch of {:.2} px, {remedy}",
         kind.name(),
         best.scale_px,
         best.grid.pitch_px

@@ -56,7 +56,7 @@ impl Indexing {
         stated: Option<(i32, i32)>,
     ) -> Result<Vec<Self>> {
         if nodes.is_empty() {
-            return Err(Error::invalid("no micro-image lies in the image: give a larger one"));
+            return Err(Error::invalid("the image contains no micro-image: give a larger image"));
         }
         let both = [false, true].map(|later| {
             let indices = || nodes.iter().map(|&node| pattern.index(node, later));
@@ -88,9 +88,9 @@ impl Indexing {
             let found = both.map(|l| format!("{} x {}", l.size.0, l.size.1));
             let found = if found[0] == found[1] { found[0].clone() } else { found.join(" or ") };
             return Err(Error::invalid(format!(
-                "the array is said to have {columns} x {rows} micro-lenses, but {found} \
-                 micro-images show in the image: leave columns and rows out, or give the image of \
-                 that camera"
+                "the array is stated to have {columns} x {rows} micro-lenses, but {found} \
+                 micro-images were found: leave columns and rows out, or give an image of this \
+                 camera"
             )));
         }
         Ok(possible)

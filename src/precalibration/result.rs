@@ -63,8 +63,8 @@ impl Precalibration {
         let grid = &self.array.grid;
         if grid.lattice.kind() != sheet.lattice_kind {
             return Err(Error::invalid(format!(
-                "the micro-images lie on a '{}' lattice, but the camera is stated to have a '{}' one: \
-                 correct that, or give the images of that camera",
+                "the micro-images lie on a '{}' lattice, but the camera is stated to have a '{}' \
+                 lattice: correct it, or give the images of this camera",
                 grid.lattice.kind().name(),
                 sheet.lattice_kind.name()
             )));
@@ -74,8 +74,8 @@ impl Precalibration {
         // Pinholes cannot show lens types.
         if sheet.lens_types > 0 && types != sheet.lens_types {
             return Err(Error::invalid(format!(
-                "{types} lens type(s) show in the white images, but the camera is stated to have {}: \
-                 correct that, or take sharper white images",
+                "{types} lens type(s) were found in the white images, but the camera is stated to \
+                 have {}: correct this, or take sharper white images",
                 sheet.lens_types
             )));
         }

@@ -83,9 +83,9 @@ impl<'a> Samples<'a> {
             let radius = |nodes: &Vec<(i32, i32)>| {
                 radius_at(middle, &sample.pattern, nodes, estimator).ok_or_else(|| {
                     Error::invalid(format!(
-                        "{}: the micro-images in the middle show no edge: the image is too dark, \
-                         saturated all over, or taken at an opening so wide that they touch; leave it \
-                         out of the white images",
+                        "{}: the micro-images in the middle have no edge: the image is too dark, \
+                         fully saturated, or taken at an aperture so wide that they touch; remove \
+                         it from the white images",
                         white.name
                     ))
                 })
@@ -176,14 +176,14 @@ impl<'a> Samples<'a> {
         let fitted = fit_internal(radii, types, pixel_size_mm, micro_image_pitch_px, configuration);
         let fitted = fitted.ok_or_else(|| {
             Error::invalid(
-                "the f-numbers of the white images are too close to each other for a straight line: \
-                 take them a stop or more apart",
+                "the f-numbers of the white images are too close to each other for a straight \
+                 line: take white images a stop or more apart",
             )
         })?;
         if fitted.parameters.m_mm <= 0.0 {
             return Err(Error::invalid(
-                "micro-images do not grow as the f-number falls: the f-numbers do not belong to \
-                 these images, or the lens was not set to them",
+                "the radii of micro-images do not increase with decreasing f-number: check that \
+                 the f-numbers belong to these images, and that the lens was set to them",
             ));
         }
         Ok(fitted)
@@ -228,7 +228,7 @@ fn sample<'a>(
     let of_array: Vec<(i32, i32)> = found.blobs.iter().map(|blob| blob.node).collect();
     let (followed, blobs) = measure_sample(&grey, pattern, &of_array).ok_or_else(|| {
         Error::invalid(format!(
-            "{}: no micro-images show where {} has them",
+            "{}: no micro-images were found at the positions known from {}",
             white.name, reference.name
         ))
     })?;
@@ -236,8 +236,9 @@ fn sample<'a>(
     let moved = (followed.origin - pattern.origin).norm() / pitch;
     if (followed.pitch() / pitch - 1.0).abs() > SAME_PITCH || moved > SAME_PLACE {
         return Err(Error::invalid(format!(
-            "{} has micro-images with a pitch of {:.3} px, but {} has them with one of {pitch:.3} px, and \
-             {moved:.2} of it to the side: they are of different cameras, or one is no white image",
+            "{} has micro-images with a pitch of {:.3} px, but {} has a pitch of {pitch:.3} px, \
+             with an offset of {moved:.2} pitches: they are of different cameras, or one is not a \
+             white image",
             white.name,
             followed.pitch(),
             reference.name

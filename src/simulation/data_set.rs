@@ -226,9 +226,9 @@ fn random_poses(settings: &Settings, count: usize, subset: Subset) -> Result<Vec
                 }
             }
             Err(Error::invalid(format!(
-                "no pose between {near} and {far} mm was found that shows {:.0} % of the corners \
-                 with the whole board beyond the focal length: use a smaller board, larger \
-                 distances, less tilt, or a smaller min_in_view",
+                "no pose between {near} and {far} mm shows {:.0} % of the corners with the whole \
+                 board beyond the focal length: use a smaller board, larger distances, less tilt, \
+                 or a smaller min_in_view",
                 boards.min_in_view * 100.0
             )))
         })
@@ -242,7 +242,9 @@ fn distinct(poses: Vec<FramePose>) -> Result<Vec<FramePose>> {
     }
     let mut frames = HashSet::new();
     match poses.iter().find(|pose| !frames.insert(pose.frame)) {
-        Some(pose) => Err(Error::invalid(format!("frame {} has two poses", pose.frame))),
+        Some(pose) => {
+            Err(Error::invalid(format!("frame {} has two poses: remove one", pose.frame)))
+        }
         None => Ok(poses),
     }
 }

@@ -85,33 +85,33 @@ impl Imaging {
         ] {
             if !(value > 0.0 && value <= MAX_FACTOR) {
                 return Err(Error::invalid(format!(
-                    "the {name} is {value}; it has to be above 0 and at most {MAX_FACTOR}"
+                    "the {name} is {value}, but has to be above 0 and at most {MAX_FACTOR}"
                 )));
             }
         }
         if self.bits != 8 && self.bits != 16 {
             return Err(Error::invalid(format!(
-                "images of {} bits cannot be written; choose 8 or 16",
+                "images with {} bits cannot be written: choose 8 or 16",
                 self.bits
             )));
         }
         let well = self.full_well_electrons;
         if !(1.0..=MAX_ELECTRONS).contains(&well) && well != f64::INFINITY {
             return Err(Error::invalid(format!(
-                "a full well of {well} electrons is not possible; give 1 to {MAX_ELECTRONS}, or inf \
-                 for no noise"
+                "a full well of {well} electrons is not possible: give 1 to {MAX_ELECTRONS}, or \
+                 inf for no noise"
             )));
         }
         if !(0.0..=MAX_ELECTRONS).contains(&self.read_noise_electrons) {
             return Err(Error::invalid(format!(
-                "a read noise of {} electrons is not possible; give 0 to {MAX_ELECTRONS}",
+                "a read noise of {} electrons is not possible: give 0 to {MAX_ELECTRONS}",
                 self.read_noise_electrons
             )));
         }
         if !(0.0..=MAX_CROSSTALK).contains(&self.crosstalk) {
             return Err(Error::invalid(format!(
-                "a crosstalk of {} is not possible: it is the fraction of its signal that a pixel gives to each \
-                 of four neighbours; give 0 to {MAX_CROSSTALK}",
+                "a crosstalk of {} is not possible: give 0 to {MAX_CROSSTALK}, the fraction of its \
+                 signal that a pixel gives to each of four neighbours",
                 self.crosstalk
             )));
         }
@@ -122,7 +122,8 @@ impl Imaging {
     fn validate_scale(&self) -> Result<()> {
         if !GAMMAS.contains(&self.gamma) {
             return Err(Error::invalid(format!(
-                "a gamma of {} is not possible; give {} to {}, 1 for samples that are linear in light",
+                "a gamma of {} is not possible: give {} to {}, 1 for samples that are linear in \
+                 light",
                 self.gamma,
                 GAMMAS.start(),
                 GAMMAS.end()
@@ -130,15 +131,15 @@ impl Imaging {
         }
         if !(self.saturation > 0.0 && self.saturation <= 1.0) {
             return Err(Error::invalid(format!(
-                "samples cannot saturate at {} of full scale; give a number above 0 and up to 1",
+                "samples cannot saturate at {} of full scale: give a number above 0 and up to 1",
                 self.saturation
             )));
         }
         let black = self.sample_of(self.black_level);
         if !(0.0..1.0).contains(&self.black_level) || black >= self.saturation {
             return Err(Error::invalid(format!(
-                "a black level of {} is not possible: it is a fraction of full scale, 0 or more, and its \
-                 samples have to be below saturation, at {}",
+                "a black level of {} is not possible: give a fraction of full scale, 0 or more, \
+                 whose samples are below saturation, {}",
                 self.black_level, self.saturation
             )));
         }
@@ -149,13 +150,14 @@ impl Imaging {
         let Some(quality) = self.jpeg_quality else { return Ok(()) };
         if !(1..=100).contains(&quality) {
             return Err(Error::invalid(format!(
-                "a JPEG quality of {quality} is not possible; give 1 to 100, or leave it out for PNG"
+                "a JPEG quality of {quality} is not possible: give 1 to 100, or leave it out for \
+                 PNG"
             )));
         }
         if self.bits != 8 || !matches!(self.color, Color::Grey | Color::Rgb) {
             return Err(Error::invalid(format!(
-                "JPEG files have 8 bits and are grey or rgb; these images have {} bits and are '{}': change \
-                 that, or leave out jpeg_quality",
+                "JPEG files have 8 bits and are grey or rgb, but these images have {} bits and are \
+                 '{}': change the images, or leave out jpeg_quality",
                 self.bits,
                 self.color.name()
             )));

@@ -114,7 +114,7 @@ impl Imperfections {
         let distance = camera.mla.lens_to_mla_mm;
         if !(self.aperture_ratio > 0.0 && self.aperture_ratio <= 1.0) {
             return Err(Error::invalid(format!(
-                "an aperture ratio of {} is not possible; give a number above 0 and up to 1",
+                "an aperture ratio of {} is not possible: give a number above 0 and up to 1",
                 self.aperture_ratio
             )));
         }
@@ -126,13 +126,13 @@ impl Imperfections {
             && !(LEAST_ANGLE_DEG..90.0).contains(&angle)
         {
             return Err(Error::invalid(format!(
-                "a half response at {angle} degrees is not possible; give {LEAST_ANGLE_DEG} or more, \
-                 and less than 90"
+                "a half response at {angle} degrees is not possible: give {LEAST_ANGLE_DEG} or \
+                 more, and less than 90"
             )));
         }
         if !(0.0..=WIDEST_SPREAD_PX).contains(&self.point_spread_px) {
             return Err(Error::invalid(format!(
-                "a point spread of {} px is not possible; give its standard deviation, 0 to \
+                "a point spread of {} px is not possible: give its standard deviation, 0 to \
                  {WIDEST_SPREAD_PX} px",
                 self.point_spread_px
             )));
@@ -140,13 +140,13 @@ impl Imperfections {
         let micro_lenses = camera.lattice.nodes();
         if self.dead_micro_lenses > micro_lenses {
             return Err(Error::invalid(format!(
-                "{} dead micro-lenses are more than the {micro_lenses} of the array",
+                "{} dead micro-lenses are more than the {micro_lenses} micro-lenses of the array",
                 self.dead_micro_lenses
             )));
         }
         if self.dust_specks > MAX_SPECKS {
             return Err(Error::invalid(format!(
-                "{} specks of dust are too many; give at most {MAX_SPECKS}",
+                "{} specks of dust are too many: give at most {MAX_SPECKS}",
                 self.dust_specks
             )));
         }

@@ -82,8 +82,8 @@ impl Lens {
         for corner in corners.iter().map(|corner| corner.xy().coords) {
             if let Some(part) = thin.first_fold(&corner) {
                 return Err(Error::invalid(format!(
-                    "the distortion folds the image {:.2} mm from the axis, within the sensor: the \
-                     coefficients are too large",
+                    "the distortion folds the image at {:.2} mm from the axis, within the sensor: \
+                     give smaller coefficients",
                     part * corner.norm()
                 )));
             }
@@ -153,14 +153,15 @@ pub(super) fn check_camera(camera: &PlenopticCamera, prescription: &Prescription
     let corrected = lens.radial.iter().chain(&lens.tangential).any(|&c| c != 0.0);
     if corrected || lens.has_curved_field() {
         return Err(Error::invalid(
-            "the distortion and field curvature of a lens with a prescription follow from its surfaces: \
-             give the camera 0 for all of them",
+            "distortion and field curvature of a lens with a prescription follow from its \
+             surfaces: set all of them to 0 in the camera",
         ));
     }
     let z = prescription.exit_pupil_z(lens.focal_length_mm)?;
     if (lens.exit_pupil_mm - Vector3::new(0.0, 0.0, z)).norm() > SAME_PUPIL * lens.focal_length_mm {
         return Err(Error::invalid(format!(
-            "the camera's exit pupil is at {:?} mm, but that of its lens at z = {z} mm: leave it out",
+            "the exit pupil of the camera is at {:?} mm, but its lens has it at z = {z} mm: leave \
+             it out",
             lens.exit_pupil_mm.as_slice()
         )));
     }

@@ -64,7 +64,7 @@ impl Prescription {
         let Some((_, text)) = LENSES.iter().find(|(known, _)| *known == name) else {
             let names = LENSES.map(|(name, _)| name).join(", ");
             return Err(Error::invalid(format!(
-                "there is no lens '{name}'; there are {names}, or give a file that ends in .toml"
+                "there is no lens '{name}': give one of {names}, or a file that ends in .toml"
             )));
         };
         Self::from_toml(text).map_err(|e| Error::invalid(format!("the lens {name}: {e}")))
@@ -74,7 +74,7 @@ impl Prescription {
     /// `semi_diameter_mm`, or `stop = true`.
     pub fn from_toml(text: &str) -> Result<Self> {
         let prescription: Self = toml::from_str(text)
-            .map_err(|e| Error::invalid(format!("not the prescription of a lens: {e}")))?;
+            .map_err(|e| Error::invalid(format!("not a valid prescription of a lens: {e}")))?;
         prescription.validate()?;
         Ok(prescription)
     }
@@ -105,11 +105,11 @@ impl Prescription {
         let stops = self.surfaces.iter().filter(|surface| surface.stop).count();
         if stops != 1 {
             return Err(Error::invalid(format!(
-                "the lens has {stops} stops; give one of its surfaces stop = true"
+                "the lens has {stops} stops: set stop = true in one of its surfaces"
             )));
         }
         if self.surfaces.last().is_some_and(|last| last.index != 1.0) {
-            return Err(Error::invalid("the lens does not end in air: its last index has to be 1"));
+            return Err(Error::invalid("the lens does not end in air: set its last index to 1"));
         }
         Paraxial::of(self)?;
         Ok(())
@@ -120,27 +120,27 @@ impl Prescription {
         positive(surface.semi_diameter_mm, "its semi-diameter (mm)")?;
         if surface.radius_mm.is_nan() || surface.radius_mm.abs() < surface.semi_diameter_mm {
             return Err(Error::invalid(format!(
-                "a sphere of radius {} mm has no opening of {} mm",
+                "a sphere of radius {} mm cannot have a semi-diameter of {} mm",
                 surface.radius_mm, surface.semi_diameter_mm
             )));
         }
         if !(0.0..f64::INFINITY).contains(&surface.thickness_mm) {
             return Err(Error::invalid(format!(
-                "the next surface lies {} mm behind it; give 0 or more",
+                "the distance to the next surface is {} mm: give 0 or more",
                 surface.thickness_mm
             )));
         }
         if !(1.0..=MAX_INDEX).contains(&surface.index) {
             return Err(Error::invalid(format!(
-                "a refractive index of {} is not possible; give 1 to {MAX_INDEX}",
+                "a refractive index of {} is not possible: give 1 to {MAX_INDEX}",
                 surface.index
             )));
         }
         if surface.stop && (surface.radius_mm.is_finite() || surface.index != self.index_before(i))
         {
             return Err(Error::invalid(
-                "the stop is a plane within one medium: leave out its radius, and give the index of the \
-                 surface before it",
+                "the stop has to be a plane within one medium: leave out its radius, and give it \
+                 the index of the surface before it",
             ));
         }
         Ok(())
@@ -217,8 +217,8 @@ impl Paraxial {
         let focal_length = -1.0 / whole[(1, 0)];
         if !(focal_length > 0.0 && focal_length.is_finite()) {
             return Err(Error::invalid(
-                "the lens does not collect light: its focal length is not positive. A radius is positive \
-                 if its centre lies on the side of the image",
+                "the focal length of the lens is not positive: check the signs of the radii, which \
+                 are positive if the centre lies on the image side",
             ));
         }
         // The middle of the stop, seen through the rear group and through the front group.

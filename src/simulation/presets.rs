@@ -57,7 +57,9 @@ impl Settings {
     ) -> Result<Self> {
         let Some(preset) = PRESETS.iter().find(|preset| preset.name == name) else {
             let names = PRESETS.map(|preset| preset.name).join(", ");
-            return Err(Error::invalid(format!("there is no preset '{name}'; there are {names}")));
+            return Err(Error::invalid(format!(
+                "there is no preset '{name}': give one of {names}"
+            )));
         };
         Self::from_toml_and_files(preset.text, replaced, read)
             .map_err(|e| Error::invalid(format!("preset {name}: {e}")))
@@ -106,7 +108,7 @@ fn is_file(name: &str) -> bool {
 
 fn no_files(file: &str) -> Result<String> {
     Err(Error::invalid(format!(
-        "the prescription {file} is a file: read it, or give its surfaces in its place"
+        "the prescription {file} is a file: read it, or give its surfaces instead"
     )))
 }
 
@@ -133,7 +135,7 @@ fn settings_from(
         file.map(|file| read(file).map(|text| (file.to_owned(), text))).transpose()?;
     if let Some((file, text)) = &prescription {
         let surfaces: Table = text.parse().map_err(|e| {
-            Error::invalid(format!("{file} is not the prescription of a lens: {e}"))
+            Error::invalid(format!("{file} is not a valid prescription of a lens: {e}"))
         })?;
         table.insert("prescription".to_owned(), Value::Table(surfaces));
     }
@@ -148,7 +150,7 @@ fn settings_from(
         serde_ignored::deserialize(table, &mut note).map_err(|e| wrong(&e))?
     };
     if let Some(key) = unknown.first() {
-        return Err(Error::invalid(format!("there is no setting '{key}' in a simulation file")));
+        return Err(Error::invalid(format!("a simulation file has no setting '{key}'")));
     }
     if let Some(prescription) = &settings.prescription {
         let lens = &mut settings.camera.main_lens;

@@ -100,8 +100,8 @@ impl RealLens {
         let widest = prescription.surfaces[stop].semi_diameter_mm * scale;
         if stop_radius > widest * (1.0 + 1e-9) {
             return Err(Error::invalid(format!(
-                "the lens opens to f/{:.2} and not to f/{f_number}: stop it down, or give its stop a \
-                 semi-diameter of {:.3} mm",
+                "the lens opens to f/{:.2}, but f/{f_number} is needed: stop it down, or give its \
+                 stop a semi-diameter of {:.3} mm",
                 f_number * stop_radius / widest,
                 stop_radius / scale
             )));

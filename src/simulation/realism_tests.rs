@@ -157,7 +157,7 @@ fn a_board_bent_away_from_the_camera_is_rejected() {
     let target = Target { sag_mm: [2.0, -2.0], ..settings.target };
     let steep = Isometry3::new(Vector3::new(-9.0, -7.0, 75.0), Vector3::new(0.6, -0.4, 0.3));
     let error = PlacedTarget::new(&target, &steep, 16.2).unwrap_err().to_string();
-    assert!(error.contains("sees the back of a part of it"), "{error}");
+    assert!(error.contains("sees the back of a part of the bent board"), "{error}");
     let target = Target { sag_mm: [1.0, 1.0], ..settings.target };
     let near = Isometry3::new(Vector3::new(-10.5, -6.0, 17.0), Vector3::zeros());
     assert!(PlacedTarget::new(&target, &near, 16.2).is_ok());

@@ -99,12 +99,12 @@ impl PlacedTarget {
         let nearest = sheet.iter().map(|p| (pose * p).z).fold(f64::MAX, f64::min);
         if !nearest.is_finite() || nearest <= 0.0 {
             return Err(Error::invalid(format!(
-                "the board reaches behind the camera (z = {nearest:.1} mm): move it along +z"
+                "a part of the board is behind the camera (z = {nearest:.1} mm): move it along +z"
             )));
         }
         if nearest <= focal_length {
             return Err(Error::invalid(format!(
-                "the board comes as near as {nearest:.1} mm, within the focal length of \
+                "a part of the board is at {nearest:.1} mm, within the focal length of \
                  {focal_length} mm, where the main lens forms no real image: move it away"
             )));
         }
@@ -122,7 +122,7 @@ impl PlacedTarget {
         let surfaces = surface.iter().cycle();
         if !sheet.iter().zip(surfaces).all(shows_front) {
             return Err(Error::invalid(
-                "the board is bent so far that the camera sees the back of a part of it: tilt or bend it less",
+                "the camera sees the back of a part of the bent board: tilt or bend it less",
             ));
         }
         let stretch = target.stretch();
@@ -144,8 +144,8 @@ impl PlacedTarget {
             return Ok(());
         }
         Err(Error::invalid(format!(
-            "the board comes as near as {:.1} mm, and the front of the main lens is at {front:.1} mm: move \
-             it away",
+            "a part of the board is at {:.1} mm, but the front of the main lens is at {front:.1} \
+             mm: move it away",
             self.nearest
         )))
     }

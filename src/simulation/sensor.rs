@@ -102,7 +102,7 @@ impl Imaging {
     fn hot(&self, pixels: usize, seed: u64) -> Result<Vec<usize>> {
         if self.hot_pixels > pixels {
             return Err(Error::invalid(format!(
-                "{} hot pixels are more than the {pixels} of the image",
+                "{} hot pixels are more than the {pixels} pixels of the image",
                 self.hot_pixels
             )));
         }

@@ -119,9 +119,7 @@ fn check_count(what: &str, count: u64, limit: u64) -> Result<()> {
     if count <= limit {
         return Ok(());
     }
-    Err(Error::invalid(format!(
-        "{count} {what} are more than can be simulated; the limit is {limit}: give fewer"
-    )))
+    Err(Error::invalid(format!("{count} {what} are too many: give at most {limit}")))
 }
 
 impl Settings {
@@ -131,7 +129,7 @@ impl Settings {
         self.camera.validate()?;
         if self.camera.main_lens.field_curvature_growth_per_mm != 0.0 {
             return Err(Error::invalid(
-                "the images of a lens without a prescription have the same field curvature at all distances: give \
+                "a lens without a prescription has the same field curvature at all distances: give \
                  field_curvature_growth_per_mm = 0",
             ));
         }
@@ -141,8 +139,8 @@ impl Settings {
         }
         if self.camera.edge_spread != EdgeSpread::default() {
             return Err(Error::invalid(
-                "aperture ratio and point spread of a simulated camera are imperfections: give them as aperture_ratio and \
-                 point_spread_px of [imperfections]",
+                "aperture ratio and point spread of a simulated camera are settings of \
+                 [imperfections]: give aperture_ratio and point_spread_px there",
             ));
         }
         self.imperfections.validate(&self.camera)?;
@@ -174,7 +172,7 @@ impl Settings {
         let pixels = u64::from(sensor.width_px) * u64::from(sensor.height_px);
         if self.imaging.hot_pixels as u64 > pixels {
             return Err(Error::invalid(format!(
-                "{} hot pixels are more than the {pixels} of the sensor",
+                "{} hot pixels are more than the {pixels} pixels of the sensor",
                 self.imaging.hot_pixels
             )));
         }
@@ -244,8 +242,8 @@ impl WhiteImages {
             self.stop_errors.iter().find(|e| e.is_nan() || e.abs() > MAX_STOP_ERROR)
         {
             return Err(Error::invalid(format!(
-                "a stop error of {error} is not possible: it is relative to the f-number; give \
-                 -{MAX_STOP_ERROR} to {MAX_STOP_ERROR}"
+                "a stop error of {error} is not possible: give -{MAX_STOP_ERROR} to \
+                 {MAX_STOP_ERROR}, relative to the f-number"
             )));
         }
         Ok(())
@@ -257,14 +255,14 @@ impl Boards {
         let [near, far] = self.depth_mm;
         if !(near > 0.0 && far >= near && far.is_finite()) {
             return Err(Error::invalid(format!(
-                "boards from {near} to {far} mm are not possible: the depth runs along +z, the \
-                 nearest first; a negative depth is behind the camera"
+                "boards from {near} to {far} mm are not possible: give positive depths along +z, \
+                 the nearest first"
             )));
         }
         if near <= focal_length {
             return Err(Error::invalid(format!(
-                "boards as near as {near} mm lie within the focal length of {focal_length} mm, \
-                 where the main lens forms no real image: move them away"
+                "boards at {near} mm lie within the focal length of {focal_length} mm, where the \
+                 main lens forms no real image: move them away"
             )));
         }
         for (name, angle, limit) in
@@ -272,20 +270,21 @@ impl Boards {
         {
             if !(0.0..=limit).contains(&angle) {
                 return Err(Error::invalid(format!(
-                    "boards with a {name} of up to {angle} degrees are not possible; give 0 to \
+                    "boards with a {name} of up to {angle} degrees are not possible: give 0 to \
                      {limit}"
                 )));
             }
         }
         if !(0.0..=1.0).contains(&self.min_in_view) {
             return Err(Error::invalid(format!(
-                "min_in_view is {}; it is a fraction of the corners, from 0 to 1",
+                "min_in_view is {}, but has to be a fraction of the corners, from 0 to 1",
                 self.min_in_view
             )));
         }
         if !(0.0..=MAX_MOTION_PX).contains(&self.motion_px) {
             return Err(Error::invalid(format!(
-                "boards that move by {} px during the exposure are not possible; give 0 to {MAX_MOTION_PX}",
+                "boards that move by {} px during the exposure are not possible: give 0 to \
+                 {MAX_MOTION_PX}",
                 self.motion_px
             )));
         }
@@ -299,7 +298,7 @@ impl TranslationStage {
             return Err(Error::invalid("the translation's start_mm and step_mm have to be finite"));
         }
         if self.images > 1 && self.step_mm == 0.0 {
-            return Err(Error::invalid("the translation has a step of 0 mm; give another one"));
+            return Err(Error::invalid("the translation has a step of 0 mm: give another step_mm"));
         }
         Ok(())
     }
@@ -310,7 +309,7 @@ fn check_f_number(n: f64, which: &str) -> Result<()> {
         return Ok(());
     }
     Err(Error::invalid(format!(
-        "the f-number {n} {which} is not possible; give {} to {}",
+        "the f-number {n} {which} is not possible: give {} to {}",
         F_NUMBERS.start(),
         F_NUMBERS.end()
     )))

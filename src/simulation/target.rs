@@ -114,7 +114,7 @@ impl Target {
         self.board().validate()?;
         if !self.border_mm.is_finite() || self.border_mm < 0.0 {
             return Err(Error::invalid(format!(
-                "the border of the target is {} mm wide; give 0 or more",
+                "the border of the target is {} mm wide: give 0 or more",
                 self.border_mm
             )));
         }
@@ -122,7 +122,7 @@ impl Target {
         for (name, radiance) in [("black", self.black), ("background", self.background)] {
             if !(0.0..f64::INFINITY).contains(&radiance) {
                 return Err(Error::invalid(format!(
-                    "the radiance of the target's {name} is {radiance}; give 0 or more"
+                    "the radiance of the target's {name} is {radiance}: give 0 or more"
                 )));
             }
         }
@@ -143,22 +143,22 @@ impl Target {
         {
             if bend.is_nan() || bend.abs() > most {
                 return Err(Error::invalid(format!(
-                    "a {name} of the target of {bend} mm is not possible: give at most half the extent of \
-                     its corners, {most} mm, to either side"
+                    "a {name} of the target of {bend} mm is not possible: give at most ±{most} mm, \
+                     half the extent of its corners"
                 )));
             }
         }
         if self.aspect.is_nan() || self.aspect.abs() > MAX_ASPECT {
             return Err(Error::invalid(format!(
-                "an aspect of the target of {} is not possible: it is the ratio of its spacings less 1; give \
-                 -{MAX_ASPECT} to {MAX_ASPECT}",
+                "an aspect of the target of {} is not possible: give -{MAX_ASPECT} to \
+                 {MAX_ASPECT}, the ratio of its spacings minus 1",
                 self.aspect
             )));
         }
         if let Some(light) = self.uneven_light.iter().find(|g| !(-1.0..=1.0).contains(*g)) {
             return Err(Error::invalid(format!(
-                "uneven light of {light} on the target is not possible: it is the part by which its ends are \
-                 brighter than its middle; give -1 to 1"
+                "uneven light of {light} on the target is not possible: give -1 to 1, the fraction \
+                 by which its ends are brighter than its middle"
             )));
         }
         Ok(())

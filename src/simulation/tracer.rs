@@ -63,7 +63,7 @@ impl Tracer {
         positive(f_number, "the f-number")?;
         if camera.lens_types() == 0 {
             return Err(Error::invalid(
-                "a simulation needs the focal lengths of the micro-lenses; for pinholes give one \
+                "a simulation needs the focal lengths of the micro-lenses: for pinholes give one \
                  type and an aperture ratio well below 1",
             ));
         }
@@ -97,8 +97,8 @@ impl Tracer {
             let (k, l) = (lens.k, lens.l);
             if lens.center.z <= self.array.sensor_z {
                 return Err(Error::invalid(format!(
-                    "micro-lens ({k}, {l}) lies {:.3} mm behind the sensor: the array is tilted too \
-                     far for its distance from the sensor",
+                    "micro-lens ({k}, {l}) lies {:.3} mm behind the sensor: give the array a \
+                     smaller tilt or a larger distance from the sensor",
                     self.array.sensor_z - lens.center.z
                 )));
             }
@@ -114,9 +114,9 @@ impl Tracer {
         let pitch_px = self.micro_image_pitch_mm() / self.array.pixel_size;
         if radius > LARGEST_RADIUS * pitch_px {
             return Err(Error::invalid(format!(
-                "at f/{f_number} micro-images have a radius of {radius:.1} px, but their centres are \
-                 only {pitch_px:.1} px apart, so that each covers its neighbours' centres: \
-                 stop the main lens down"
+                "at f/{f_number} micro-images have a radius of {radius:.1} px, but a pitch of only \
+                 {pitch_px:.1} px, so each covers the centres of its neighbours: stop the main \
+                 lens down"
             )));
         }
         Ok(())
@@ -235,5 +235,5 @@ pub(super) fn check_rays(rays: u32) -> Result<()> {
     if (1..=MAX_RAYS).contains(&rays) {
         return Ok(());
     }
-    Err(Error::invalid(format!("{rays} rays per pixel cannot be traced; give 1 to {MAX_RAYS}")))
+    Err(Error::invalid(format!("{rays} rays per pixel cannot be traced: give 1 to {MAX_RAYS}")))
 }

@@ -74,7 +74,8 @@ fn check_rays(camera: &PlenopticCamera, z_mm: f64) -> Result<()> {
         return Ok(());
     }
     Err(Error::invalid(format!(
-        "rays begin at {z_mm} mm, but the camera sees only what is beyond its focal length of {focal_length_mm} mm"
+        "rays begin at {z_mm} mm, but have to begin beyond the focal length of the camera, \
+         {focal_length_mm} mm"
     )))
 }
 

@@ -46,7 +46,7 @@ impl<'de> Deserialize<'de> for LossKind {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let name = String::deserialize(deserializer)?;
         Self::from_str(&name, false).map_err(|_| {
-            D::Error::custom(format!("'{name}' is no loss: write none, huber or cauchy"))
+            D::Error::custom(format!("'{name}' is not a loss: write none, huber or cauchy"))
         })
     }
 }

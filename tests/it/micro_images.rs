@@ -194,6 +194,6 @@ fn images_without_an_array_are_rejected() {
         RawImage { width: 3, height: 2, color: Color::Grey, samples: Samples::Bits8(vec![128; 6]) },
     ] {
         let error = measure_array(&image, None).unwrap_err().to_string();
-        assert!(error.contains("no array of micro-images shows"), "{error}");
+        assert!(error.contains("no array of micro-images was found"), "{error}");
     }
 }

@@ -224,7 +224,10 @@ fn f_numbers_that_are_wrong_are_rejected() {
     let small = &*SMALL;
     small.is_rejected(&small.at([4.0, -8.0, 16.0])[..2], "the f-number of f/8.00 is -8");
     let [first, _, last] = small.at([16.0, 8.0, 4.0]);
-    small.is_rejected(&[first, last], "micro-images do not grow as the f-number falls");
+    small.is_rejected(
+        &[first, last],
+        "the radii of micro-images do not increase with decreasing f-number",
+    );
 }
 
 #[test]
@@ -238,7 +241,7 @@ fn white_images_of_another_camera_are_rejected() {
         ..second.image.clone()
     };
     let tiny = White { image, ..second };
-    small.is_rejected(&[first.clone(), tiny], "all white images have to be of one camera");
+    small.is_rejected(&[first.clone(), tiny], "give white images of one camera");
     let other = preset("mini", &["rays=8", "camera.micro_lens_array.pitch_mm=0.12"]);
     let shot = DataSet::plan(&other, None).unwrap().whites[2];
     small.is_rejected(&[first, white(&other, &shot)], "they are of different cameras");
@@ -250,7 +253,10 @@ fn a_white_image_that_is_black_is_rejected() {
     let [first, second, _] = small.whites.clone();
     let samples = Samples::Bits8(vec![0; 750_000]);
     let black = White { image: RawImage { samples, ..second.image.clone() }, ..second };
-    small.is_rejected(&[first, black], "f/8.00: no micro-images show where f/4.00");
+    small.is_rejected(
+        &[first, black],
+        "f/8.00: no micro-images were found at the positions known from f/4.00",
+    );
 }
 
 #[test]
@@ -258,7 +264,7 @@ fn a_stated_size_that_is_not_visible_is_rejected() {
     let Small { settings, whites } = &*SMALL;
     let stated = PrecalibrationOptions { array_size: Some((40, 37)), ..options(settings) };
     let error = precalibrate(whites, None, &stated, &|| ()).unwrap_err().to_string();
-    assert!(error.contains("said to have 40 x 37 micro-lenses"), "{error}");
+    assert!(error.contains("stated to have 40 x 37 micro-lenses"), "{error}");
 }
 
 #[test]

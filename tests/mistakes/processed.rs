@@ -274,7 +274,7 @@ fn marred() -> Vec<Mistake> {
         ));
     }
     for part in [1e-4, 1e-3, 0.01, 0.05] {
-        let expected = if part < 0.02 { Right } else { Told(&["show no edge"]) };
+        let expected = if part < 0.02 { Right } else { Told(&["have no edge"]) };
         all.push(change(
             &format!("{part} of all pixels faulty"),
             Of::All,
