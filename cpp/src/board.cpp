@@ -24,7 +24,7 @@ void validate(const Board& board) {
     if (std::abs(value) < limit) return;
     std::ostringstream text;
     text << "the board's " << name << " is " << value << (is_aspect ? "" : " mm")
-         << "; it has to be smaller than " << limit
+         << ", but has to be smaller than " << limit
          << (is_aspect ? "" : " mm, half the diagonal of the board");
     reject(text.str());
   });

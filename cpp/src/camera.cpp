@@ -11,7 +11,7 @@ namespace {
 void require_positive(double value, const std::string& name) {
   if (!is_positive(value)) {
     std::ostringstream text;
-    text << "the camera's " << name << " is " << value << "; it has to be positive and finite";
+    text << "the camera's " << name << " is " << value << ", but has to be positive and finite";
     reject(text.str());
   }
 }
@@ -28,7 +28,7 @@ void validate(const Camera& camera) {
   const int types = camera.lens_types();
   if (types != 0 && types != 1 && !(types == 3 && lattice.packing != Packing::kOrthogonal)) {
     reject("a camera of " + std::to_string(types) +
-           " lens types is not known: 0 or 1, or 3 on a hexagonal lattice");
+           " lens types is not supported: give 0 or 1, or 3 on a hexagonal lattice");
   }
   require_positive(camera.pixel_size, "pixel size (mm)");
   if (camera.width < 0 || camera.height < 0) reject("the camera's width or height is negative");
@@ -48,9 +48,9 @@ void validate(const Camera& camera) {
   const auto require_behind = [](double distance, const std::string& what) {
     if (!is_positive(distance)) reject("the exit pupil (e_z) does not lie " + what);
   };
-  require_behind(camera.mla.lens_to_mla + camera.exit_pupil.z, "before the array");
+  require_behind(camera.mla.lens_to_mla + camera.exit_pupil.z, "in front of the array");
   require_behind(camera.main_lens.focal_length + camera.exit_pupil.z,
-                 "before the rear focal point");
+                 "in front of the rear focal point");
 }
 
 std::optional<Feature<double>> project(const Camera& camera, const Pose& camera_from_board,

@@ -37,7 +37,9 @@ LeastSquares::LeastSquares(LeastSquares& first, const Pose& camera_from_first, c
   if (shape_is_free_ || first.shape_is_free_) {
     reject("the shape of the board has to be known in a rig of cameras");
   }
-  if (first.in_rig_) reject("the first camera of a rig is a further camera of another one");
+  if (first.in_rig_) {
+    reject("the first camera of a rig must not be a further camera of another rig");
+  }
   in_rig_ = true;
   camera_from_first_ = pose_block(camera_from_first);
   problem_->AddParameterBlock(camera_from_first_.data(), Pose::kSize);
@@ -58,7 +60,9 @@ std::vector<std::pair<double*, int>> LeastSquares::shared_blocks() {
 }
 
 std::unique_ptr<ceres::Problem> LeastSquares::compressed(ParallelEvaluation* parallel) const {
-  if (in_rig_ || !blocks_of_others_.empty()) reject("of a rig there is no problem with few rows");
+  if (in_rig_ || !blocks_of_others_.empty()) {
+    reject("a problem with few rows is not available for a rig");
+  }
   ceres::Problem::Options options;
   options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   options.evaluation_callback = parallel;
@@ -211,7 +215,7 @@ std::vector<std::string> LeastSquares::names() const {
 }
 
 Evaluation LeastSquares::evaluate() const {
-  if (in_rig_) reject("of a further camera of a rig there is no evaluation of its own");
+  if (in_rig_) reject("a further camera of a rig cannot be evaluated separately");
   const int free = static_cast<int>(free_intrinsics_.size());
   Evaluation result;
   result.jacobian.num_rows = static_cast<int>(rows_.size());

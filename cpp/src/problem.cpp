@@ -49,7 +49,7 @@ std::vector<double> CalibrationProblem::state() const {
 
 void CalibrationProblem::set_state(const std::vector<double>& state) {
   const auto size = static_cast<Eigen::Index>(state.size());
-  if (size != parts_->state().size()) reject("the state is one of another problem");
+  if (size != parts_->state().size()) reject("the state belongs to another problem");
   if (!std::all_of(state.begin(), state.end(), [](double x) { return std::isfinite(x); })) {
     reject("the state is not finite");
   }

@@ -147,8 +147,8 @@ Refinement refine(const Camera& camera, const std::vector<Pose>& poses,
                   const SolverOptions& solver_options, const Progress& progress) {
   const auto start = std::chrono::steady_clock::now();
   if (solver_options.threads < 1)
-    throw std::invalid_argument("threads has to be at least 1, it is " +
-                                std::to_string(solver_options.threads));
+    throw std::invalid_argument("threads is " + std::to_string(solver_options.threads) +
+                                ", but has to be at least 1");
   LeastSquares calibration(camera, poses, observations, cost_options);
   ParallelEvaluation parallel(solver_options.threads);
   const std::unique_ptr<ceres::Problem> problem =

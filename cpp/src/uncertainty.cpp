@@ -65,7 +65,8 @@ void require_systematic(const std::vector<SystematicError>& systematic,
     if (error.features.size() != observations.features.size() ||
         (!error.centers.empty() && error.centers.size() != observations.centers.size()) ||
         (!error.priors.empty() && error.priors.size() != priors)) {
-      throw std::invalid_argument("a systematic error is not of these observations and priors");
+      throw std::invalid_argument(
+          "a systematic error does not belong to these observations and priors");
     }
     const bool features_finite =
         std::all_of(error.features.begin(), error.features.end(), [](const Feature<double>& by) {
@@ -87,7 +88,7 @@ void require_systematic(const std::vector<SystematicError>& systematic,
 Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
                         const Observations& observations, const CostOptions& cost_options,
                         const std::vector<SystematicError>& systematic, int threads) {
-  if (threads < 1) reject("threads have to be at least 1");
+  if (threads < 1) reject("threads has to be at least 1");
   require_systematic(systematic, observations, cost_options.priors.size());
   LeastSquares calibration(camera, poses, observations, cost_options);
   const NormalEquations equations = normal_equations(calibration, systematic, threads);
@@ -161,7 +162,7 @@ double Uncertainty::std_dev_of(const std::string& name) const {
 std::vector<Matrix> frame_information(const Camera& camera, const std::vector<Pose>& poses,
                                       const Observations& observations,
                                       const CostOptions& cost_options, int threads) {
-  if (threads < 1) reject("threads have to be at least 1");
+  if (threads < 1) reject("threads has to be at least 1");
   const LeastSquares calibration(camera, poses, observations, cost_options);
   const Eliminated groups = without_poses(normal_equations(calibration, {}, threads));
   std::vector<Matrix> all;

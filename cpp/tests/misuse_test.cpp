@@ -173,7 +173,7 @@ INSTANTIATE_TEST_SUITE_P(
                   simple_camera(), [](Camera* c) { c->micro_lens_focal_lengths.assign(4, 0.5); });
               return said({optics_of(camera).inverse_focal_lengths[0]});
             },
-            "refused: there are no cameras of 4 lens types"},
+            "refused: cameras with 4 lens types are not supported"},
         Use{"LensTypeOfANegativeIndex",
             [] {
               const Lattice lattice = scene_camera(3).lattice;
@@ -583,7 +583,7 @@ INSTANTIATE_TEST_SUITE_P(
               problem.set_state(std::vector<double>(7, 1.0));
               return std::string("accepted");
             },
-            "refused: the state is one of another problem"},
+            "refused: the state belongs to another problem"},
         Use{"StateIsNan",
             [] {
               const Small small;
@@ -604,7 +604,7 @@ INSTANTIATE_TEST_SUITE_P(
                           small.options, {error});
               return std::string("accepted");
             },
-            "refused: a systematic error is not of these observations"},
+            "refused: a systematic error does not belong to these observations"},
         Use{"NoThreads",
             [] {
               const Small small;
@@ -612,7 +612,7 @@ INSTANTIATE_TEST_SUITE_P(
                           small.options, {}, 0);
               return std::string("accepted");
             },
-            "refused: threads have to be at least 1"},
+            "refused: threads has to be at least 1"},
         Use{"CovarianceOfNoParameter", [] { return said({Uncertainty{}.covariance_of("F", "F")}); },
             "refused: there is no free parameter F"},
         Use{"ResidualsOfNothing", [] { return residuals_with(0.0055, {}); },
@@ -744,16 +744,16 @@ INSTANTIATE_TEST_SUITE_P(
         Use{"VersionOfTheFuture", [] { return read_with("\"version\": 2", "\"version\": 99"); },
             "refused: has version 99"},
         Use{"MisspeltField", [] { return read_with("\"focal_length_mm\"", "\"focal_lenght_mm\""); },
-            "refused: there is a field main_lens.focal_lenght_mm, which is not known"},
+            "refused: has the unknown field main_lens.focal_lenght_mm"},
         Use{"UnknownFieldOfTheFile",
             [] { return read_with("\"format\"", "\"calibrated_by\": \"me\", \"format\""); },
-            "refused: there is a field calibrated_by, which is not known"},
+            "refused: has the unknown field calibrated_by"},
         Use{"UnknownFieldOfTheSensor",
             [] { return read_with("\"width_px\"", "\"width\": 464, \"width_px\""); },
-            "refused: there is a field sensor.width, which is not known"},
+            "refused: has the unknown field sensor.width"},
         Use{"UnknownFieldOfTheArray",
             [] { return read_with("\"columns\"", "\"tilt\": 0, \"columns\""); },
-            "refused: there is a field micro_lens_array.tilt, which is not known"},
+            "refused: has the unknown field micro_lens_array.tilt"},
         Use{"MissingField", [] { return read_with("\"pitch_ratio\": 1.0,", ""); },
             "refused: there is no micro_lens_array.pitch_ratio"},
         Use{"NumberTooLarge",

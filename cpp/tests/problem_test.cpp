@@ -357,7 +357,7 @@ TEST(Rig, RefusesWhatIsNotOne) {
   CalibrationProblem second(first, {}, scene.camera, observations, {});
   for (const CalibrationProblem* camera : {&first, &second}) {
     test::expect_names(test::rejection([&] { (void)camera->compressed(); }),
-                       "of a rig there is no");
+                       "not available for a rig");
   }
 }
 

@@ -311,8 +311,8 @@ struct Optics {
          int lens_types, double pixel_size)
       : main_lens(lens), array(mla, pixel_size), has_blur(lens_types > 0) {
     if (lens_types < 0 || lens_types > kMaxLensTypes) {
-      throw std::invalid_argument("there are no cameras of " + std::to_string(lens_types) +
-                                  " lens types");
+      throw std::invalid_argument("cameras with " + std::to_string(lens_types) +
+                                  " lens types are not supported");
     }
     for (int i = 0; i < lens_types; ++i) inverse_focal_lengths[i] = 1.0 / focal_lengths[i];
   }

@@ -82,7 +82,8 @@ class FeatureResiduals {
   /// Takes the parameter blocks in their order, then the residuals.
   template <typename T, typename... Rest>
   bool operator()(const T* lens, const T* array, Rest... rest) const {
-    static_assert(sizeof...(Rest) == kPoseAt + 2, "the blocks do not fit I, Bent and InRig");
+    static_assert(sizeof...(Rest) == kPoseAt + 2,
+                  "the parameter blocks do not match I, Bent and InRig");
     const std::tuple<Rest...> blocks(rest...);
     const T *focal_lengths = nullptr, *shape = nullptr;
     if constexpr (I > 0) focal_lengths = std::get<0>(blocks);

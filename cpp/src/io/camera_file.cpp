@@ -271,7 +271,8 @@ std::vector<std::string> CameraFile::objections() const {
   }
   if (!undetermined.empty()) {
     objections.push_back("the calibration of this camera has not determined " +
-                         joined(undetermined) + ": frames at other distances and tilts would");
+                         joined(undetermined) +
+                         ": calibrate it again with frames at other distances and tilts");
   }
   // Otherwise the reasons of the verdict are already listed.
   if (objections.empty() && verdict == Verdict::kDoNotUse) {

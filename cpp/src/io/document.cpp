@@ -15,13 +15,13 @@ void fail(const std::string& path, const std::string& what) { throw FileError(pa
 
 std::string text_of(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
-  if (!file) fail(path, "cannot be opened: check that it is there and may be read");
+  if (!file) fail(path, "cannot be opened: check that it exists and is readable");
   try {
     std::string text{std::istreambuf_iterator<char>(file), {}};
     if (file.bad()) fail(path, "cannot be read");
     return text;
   } catch (const std::ios_base::failure&) {
-    fail(path, "cannot be read: is it a folder?");
+    fail(path, "cannot be read: give a file, not a folder");
   }
 }
 
@@ -33,7 +33,7 @@ void write_text(const std::string& path, const std::string& text) {
     file.close();
     if (!file) {
       std::remove(beside.c_str());
-      fail(path, "cannot be written: check the folder and the space on the disk");
+      fail(path, "cannot be written: check the folder and the free space on the disk");
     }
   }
   if (std::rename(beside.c_str(), path.c_str()) != 0) {
@@ -56,7 +56,7 @@ std::vector<std::string> Field::keys() const {
 void Field::require_keys(std::initializer_list<const char*> known) const {
   for (const std::string& key : keys()) {
     if (std::find(known.begin(), known.end(), key) == known.end()) {
-      fail(path_, "there is a field " + name_of(key) + ", which is not known: is it misspelt?");
+      fail(path_, "has the unknown field " + name_of(key) + ": check its spelling");
     }
   }
 }
