@@ -570,8 +570,8 @@ impl CalibrationOptions {
             || self.field_curvature != FieldCurvature::Estimated;
         if self.mode == Mode::PosesOnly && stated {
             return Err(Error::invalid(
-                "the camera is fixed if only poses are estimated: leave out exit_pupil and \
-                 field_curvature",
+                "the camera is fixed if only poses are estimated: leave out its exit pupil and field \
+                 curvature (exit_pupil, field_curvature)",
             ));
         }
         if self.mode == Mode::PosesOnly && self.board == BoardModel::Bent {

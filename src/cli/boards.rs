@@ -41,7 +41,7 @@ impl Shoot {
         let sheet = camera_of(path, project)?;
         let board = project
             .board
-            .ok_or_else(|| Error::invalid("there is no board in it: add [board]").in_file(path))?;
+            .ok_or_else(|| Error::invalid("it has no board: add [board]").in_file(path))?;
         check_configuration(&sheet).map_err(|e| e.in_file(path))?;
         let images = listed_images(path, project, "calibration = [...]")?;
         board.validate().and_then(|()| check_board_size(&board)).map_err(|e| e.in_file(path))?;
@@ -125,7 +125,7 @@ impl Shoot {
 /// Returns the camera of a project; an error names what is missing or wrong.
 pub fn camera_of(path: &Path, project: &Project) -> Result<Datasheet> {
     let sheet = project.datasheet().map_err(|e| e.in_file(path))?.ok_or_else(|| {
-        Error::invalid("there is no camera in it: add [sensor], [main_lens] and [micro_lens_array]")
+        Error::invalid("it has no camera: add [sensor], [main_lens] and [micro_lens_array]")
             .in_file(path)
     })?;
     sheet.validate().map_err(|e| e.in_file(path))?;
@@ -183,8 +183,8 @@ pub fn detect_subset(
     if let Some(Some(first)) = repeated.first().filter(|_| repeated.iter().all(Option::is_some)) {
         let subset = options.subset.name();
         return Err(Error::invalid(format!(
-            "the images for {subset} are those of the calibration ({} is the same image as {first}): give images that took \
-             no part, or leave {subset} out of [images]",
+            "the images for {subset} are also images of the calibration ({} is the same image as \
+             {first}): give other images, or leave {subset} out of [images]",
             file_name(&images[0])
         ))
         .in_file(path));
@@ -193,7 +193,7 @@ pub fn detect_subset(
     let at_once = images.len().min(AT_ONCE) as f64 + 1.0;
     let bytes = io::image_bytes(&white)? as f64;
     announce_memory(
-        &format!("searching for boards in images as large as {}", white.display()),
+        &format!("searching for boards in images of the size of {}", white.display()),
         bytes * at_once + WORK_BYTES * shoot.sheet.sensor.pixels() as f64,
     );
     let white = io::read_image(&white, Some(shoot.images.color))?;
@@ -256,8 +256,9 @@ fn no_board(found: &DetectedBoards) -> String {
     let Some(first) =
         reasons().next().filter(|first| reasons().all(|of| of.code() == first.code()))
     else {
-        return "no frame shows the board: check [board], the images, the configuration of the array, and that the white \
-                images are of the same camera and f-number, neither turned, cut nor resized"
+        return "no frame shows the board: check [board], the images, the configuration of the \
+                array, and that the white images are of the same camera and f-number, and not \
+                rotated, cropped or resized"
             .to_owned();
     };
     match (first, first.remedy()) {

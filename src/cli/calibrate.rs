@@ -170,7 +170,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let (json, with_compote) = (arguments.json, arguments.compote);
     if arguments.export_problem.as_ref() == Some(&arguments.out) {
         return Err(Error::invalid(
-            "--export-problem and --out name one folder, but both write camera.json and poses.json: give two",
+            "--export-problem and --out name the same folder, but both write camera.json and \
+             poses.json: give two folders",
         ));
     }
     let export = arguments.export_problem.as_deref().map(OutputFolder::new).transpose()?;
@@ -258,7 +259,7 @@ pub(super) fn status(calibration: &Calibration, findings: &[Finding]) -> ExitCod
         };
         (3, format!("not converged: {}{more}", termination_text(calibration)))
     } else if !unknown.is_empty() {
-        let remedy = "Take frames at other distances and tilts, or hold them (--fix)";
+        let remedy = "Take frames at other distances and tilts, or fix these parameters (--fix)";
         (3, format!("not determined: {}. {remedy}", unknown.join(", ")))
     } else {
         return verdict_status(findings).unwrap_or(ExitCode::SUCCESS);
@@ -286,10 +287,9 @@ pub(super) fn stage_results(
         })?;
         let lens = &calibration.camera.main_lens;
         if lens.exit_pupil_mm.norm() > 0.0 || lens.has_curved_field() {
-            say(
-                "warning: COMPOTE's files have neither an exit pupil nor a field curvature: what reads \
-                 intrinsics.js gets another camera (--exit-pupil at-lens --field-curvature flat)",
-            );
+            say("warning: COMPOTE's files have no exit pupil and no field curvature, so \
+                 intrinsics.js describes another camera: calibrate with --exit-pupil at-lens \
+                 --field-curvature flat");
         }
         let folder = Path::new("compote");
         let intrinsics = compote::intrinsics_document(&calibration.camera, grid)?;

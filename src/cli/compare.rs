@@ -57,7 +57,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let nearest_mm = first.main_lens.focal_length_mm.max(second.main_lens.focal_length_mm);
     if let Some(near) = at.iter().find(|mm| !(mm.is_finite() && **mm > nearest_mm)) {
         return Err(Error::invalid(format!(
-            "cameras cannot be compared at {near} mm: they see what is beyond their focal length of {nearest_mm:.3} mm"
+            "cameras cannot be compared at {near} mm: give distances beyond their focal length of \
+             {nearest_mm:.3} mm"
         )));
     }
     let comparison = compare_cameras((&first, &first_std_devs), (&second, &second_std_devs), &at)?;

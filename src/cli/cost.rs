@@ -63,13 +63,14 @@ pub(super) fn of_problem(
     let shape = match (Parameter::SHAPE.into_iter().all(|p| problem.holds(p)), stated) {
         (false, None) => {
             return Err(Error::invalid(
-                "the problem leaves the shape of the board free, and camera.json does not have it: give that of the \
-                 solution (--board-shape, a file with the board_shape of calibration.json)",
+                "the shape of the board is free in the problem, but camera.json does not contain \
+                 it: give the shape of the solution (--board-shape, a file with the board_shape of \
+                 calibration.json)",
             ));
         }
         (true, Some(shape)) if shape != problem.board.shape => {
             return Err(Error::invalid(
-                "the problem holds the board in another shape: leave --board-shape out",
+                "the problem fixes another shape of the board: leave --board-shape out",
             )
             .in_file(&folder.join(io::PROBLEM)));
         }

@@ -94,7 +94,7 @@ pub fn calibrated(path: &Path) -> Result<PlenopticCamera> {
 fn is_folder(path: &Path, cameras: &[PathBuf]) -> Error {
     let cameras: Vec<String> = cameras.iter().map(|path| path.display().to_string()).collect();
     let instead = if cameras.is_empty() {
-        "give a calibrated camera (camera.json or intrinsics.js); there is none in it".to_owned()
+        "it contains no calibrated camera: give camera.json or intrinsics.js".to_owned()
     } else {
         format!("give a camera: {}", cameras.join(" or "))
     };
@@ -193,8 +193,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     if section.parts.is_empty() {
         let failed: Vec<String> = evaluation.findings.iter().map(ToString::to_string).collect();
         let reason = if failed.is_empty() {
-            "there is nothing to evaluate with: list boards under evaluation or [images.translation], give a true \
-             camera, or --folds"
+            "there is nothing to evaluate: list boards under evaluation or [images.translation], \
+             give a true camera, or --folds"
                 .to_owned()
         } else {
             format!("nothing could be evaluated:\n  {}", failed.join("\n  "))

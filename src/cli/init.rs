@@ -98,8 +98,7 @@ fn board(text: &str) -> std::result::Result<Board, String> {
     };
     let ((columns, rows), square_mm) = parsed.ok_or_else(|| {
         format!(
-            "'{text}' is not a board; write 9x5x10 for 9 x 5 inner corners and squares of 10 \
-                 mm"
+            "'{text}' is not a board: write 9x5x10 for 9 x 5 inner corners and squares of 10 mm"
         )
     })?;
     let board = Board { columns, rows, square_mm };
@@ -177,7 +176,7 @@ fn summary(draft: &ProjectDraft, drafted: &DraftText, color_is_stated: bool, out
         (images.calibration.len(), "board(s) to calibrate with"),
         (images.evaluation.len(), "board(s) to evaluate with"),
         (images.translation.len(), "image(s) of a translation"),
-        (images.unsorted.len(), "image(s) whose names do not say what they show"),
+        (images.unsorted.len(), "image(s) with unclear names"),
     ] {
         if count > 0 {
             let _ = writeln!(text, "  {count:>4} {what}");
@@ -211,7 +210,7 @@ fn summary(draft: &ProjectDraft, drafted: &DraftText, color_is_stated: bool, out
     if let (Some(color), false) = (draft.color, color_is_stated) {
         let _ = writeln!(
             text,
-            "\nThe images are taken to be {}: {}.",
+            "\nThe images are assumed to be {}: {}.",
             color.name(),
             match color {
                 Color::Grey => "one channel, and a white image shows no mosaic",

@@ -83,15 +83,15 @@ fn refuse_shape(stated: BoardModel, shape: Option<&Path>, mode: Mode) -> Result<
     };
     if let Some(shape) = shape {
         return Err(Error::invalid(format!(
-            "the project says board = \"{word}\", but --board-shape gives the board the shape of {}: leave one of the two \
-             out",
+            "the project states board = \"{word}\", but --board-shape gives the shape of {}: \
+             remove one of the two",
             shape.display()
         )));
     }
     if mode == Mode::PosesOnly && word == "bent" {
         return Err(Error::invalid(
-            "the board is to be bent by what comes out, but the shape of a board is estimated together with a camera, \
-             which is fixed here: say --board auto for the shape in the calibration.json beside the camera, or give \
+            "the shape of a bent board is only estimated together with a camera, which is fixed \
+             here: give --board auto for the shape in the calibration.json beside the camera, or \
              --board-shape instead of a bent board",
         ));
     }
@@ -109,7 +109,7 @@ pub fn board_shape(
         let shape = io::read_board_shape(path, board)?;
         return shape.map(Some).ok_or_else(|| {
             Error::invalid(format!(
-                "it has no board_shape of a board of {} x {} inner corners with squares of {} mm",
+                "it has no board_shape for a board of {} x {} inner corners with squares of {} mm",
                 board.columns, board.rows, board.square_mm
             ))
             .in_file(path)
@@ -132,7 +132,7 @@ fn start(files: &Files, project: &Project, mode: Mode) -> Result<Start> {
         of_project.or(files.camera).or(files.project).ok_or_else(|| missing(Part::Camera))?;
     match camera_source(path)? {
         CameraSource::Camera(_) if files.params.is_some() => Err(Error::Invalid(
-            "--params is for a camera that is not calibrated yet; leave it out".to_owned(),
+            "--params is for a camera that is not calibrated yet: leave it out".to_owned(),
         )),
         CameraSource::Camera(camera) => Ok(Start::Camera(*camera)),
         CameraSource::Datasheet(_) if mode == Mode::PosesOnly => {
@@ -194,7 +194,7 @@ fn observations(
     if let Some(path) = separate {
         if !observations.centers.is_empty() {
             return Err(Error::invalid(format!(
-                "this file contains the centres too, and {} gives them again; leave one out",
+                "this file contains the centres, and {} gives them again: leave one out",
                 path.display()
             ))
             .in_file(features));

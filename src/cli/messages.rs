@@ -216,7 +216,7 @@ pub fn print_result(
 ) -> Result<()> {
     if json {
         let document = serde_json::to_string(document)
-            .map_err(|e| Error::invalid(format!("the result is no JSON: {e}")))?;
+            .map_err(|e| Error::invalid(format!("the result cannot be written as JSON: {e}")))?;
         return print(format!("{document}\n").as_bytes());
     }
     let text = format!("{}\n{}", coloured(text.trim_end()), written(paths));

@@ -85,7 +85,7 @@ The same step by step:
       --centers white/centers.csv --features boards/features.csv --out results
 
 Exit status:
-  0    done; of a calibration, the verdict is good or usable with care
+  0    success; for a calibration, the verdict is good or usable with care
   1    bad input or a failure: nothing was written
   2    the command line was not understood
   3    not converged, or parameters are not determined: results were written, marked as such

@@ -211,8 +211,8 @@ fn of_map(
     let scale = Vector2::new(width / map.width as f64, height / map.height as f64);
     if kind == MapKind::Raw && scale != Vector2::new(1.0, 1.0) {
         return Err(Error::invalid(format!(
-            "the map has {} x {} px, but the raw image of this camera {width} x {height}: is it that of a total-focus image \
-             (--map focused)?",
+            "the map has {} x {} px, but the raw image of this camera has {width} x {height} px: \
+             give --map focused if it is of a total-focus image",
             map.width, map.height
         )));
     }
@@ -294,8 +294,8 @@ fn no_point(findings: &[Finding]) -> String {
         .map(ToString::to_string)
         .collect();
     if told.is_empty() {
-        "no point: are the virtual depths of this camera, counted from the array and positive behind it? Beyond the focal \
-         length of the main lens are those of images that it makes"
+        "no point: check that the virtual depths are of this camera, measured from the array and \
+         positive behind it; the main lens forms images only beyond its focal length"
             .to_owned()
     } else {
         format!("no point:\n  {}", told.join("\n  "))
@@ -449,8 +449,8 @@ fn text(document: &Value) -> String {
     }
     if number(&sigma["z"]) > 0.0 {
         lines.push(format!(
-            "Their σ by what was measured is {:.3} mm across the axis and {:.3} mm along it (median); that of the camera \
-             comes on top.",
+            "σ from the measurement is {:.3} mm across the axis and {:.3} mm along it (median); σ \
+             from the camera adds to it.",
             number(&sigma["x"]).hypot(number(&sigma["y"])) / std::f64::consts::SQRT_2,
             number(&sigma["z"]),
         ));

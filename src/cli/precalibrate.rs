@@ -51,7 +51,7 @@ micro-images.svg; from a project also radii.svg and COMPOTE's camera.js and para
 fn size(text: &str) -> std::result::Result<(u16, u16), String> {
     let parse = |number: &str| number.trim().parse::<u16>().ok().filter(|&n| n > 0);
     text.split_once('x').and_then(|(w, h)| Some((parse(w)?, parse(h)?))).ok_or_else(|| {
-        format!("'{text}' is not a size; write it as 2048x2048, each edge from 1 to 65535 px")
+        format!("'{text}' is not a size: write it as 2048x2048, each edge from 1 to 65535 px")
     })
 }
 
@@ -157,7 +157,7 @@ fn of_raytrix(
             .in_file(path)
     })?;
     let of_this_size = |e: Error| {
-        Error::invalid(format!("in an image of {width} x {height} px: {e}; check --size"))
+        Error::invalid(format!("in an image of {width} x {height} px: {e}. Check --size"))
             .in_file(path)
     };
     let about = maker.number_of_centers(width, height).map_err(of_this_size)?;

@@ -198,7 +198,7 @@ impl Bend {
 
     fn text(&self) -> String {
         format!(
-            "At {:.0} mm they are {} mm RMS off what the camera sees there, at most {} mm.",
+            "At {:.0} mm their error is {} mm RMS, at most {} mm.",
             self.at_mm,
             significant(self.rms_mm, 3),
             significant(self.largest_mm, 3)
@@ -238,7 +238,7 @@ fn bend(camera: &PlenopticCamera, at_mm: f64) -> Result<Vec<Bend>> {
     let measured: Vec<Bend> = measured.collect::<Result<_>>()?;
     if rays.iter().all(Option::is_none) {
         return Err(Error::invalid(
-            "no pixel of this camera has a ray: is its array on its sensor?",
+            "no pixel of this camera has a ray: check that its array covers its sensor",
         ));
     }
     Ok(measured)

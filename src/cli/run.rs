@@ -107,7 +107,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     }
     if arguments.folds == 1 {
         return Err(Error::invalid(
-            "one fold leaves nothing to calibrate with: give --folds 0 for none, or 2 or more",
+            "one fold leaves no frames to calibrate with: give --folds 0 for none, or 2 or more",
         ));
     }
     let of_images = first_look(&shoot.images).map_err(|e| e.in_file(path))?;
@@ -246,7 +246,7 @@ impl<'a> Run<'a> {
         let folder = self.arguments.out.join(name);
         if folder.is_symlink() {
             return Err(Error::invalid(
-                "is a link, but the results of a run belong into its own folder: remove the link",
+                "is a link, but a run writes into its own folder: remove the link",
             )
             .in_file(&folder));
         }
@@ -611,8 +611,8 @@ fn stage_figures(output: &mut OutputFolder, figures: &[Figure]) -> Result<()> {
 fn calibration_options(path: &Path, project: &Project) -> Result<CalibrationOptions> {
     if project.calibration.mode == Mode::PosesOnly {
         return Err(Error::invalid(
-            "[calibration] says mode = \"poses-only\", but a run calibrates: leave it out, or use \
-             `plenocal extrinsics`",
+            "[calibration] states mode = \"poses-only\", but a run calibrates: leave it out, or \
+             use `plenocal extrinsics`",
         )
         .in_file(path));
     }

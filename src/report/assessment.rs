@@ -15,7 +15,7 @@ const NAMED: usize = 5;
 pub(super) fn verdict_parts(findings: &[Finding], most: usize) -> Vec<Part> {
     let verdict = Verdict::of(findings);
     let text = match verdict {
-        Verdict::Good => "Verdict: good. No finding speaks against this result.".to_owned(),
+        Verdict::Good => "Verdict: good. No finding limits the use of this result.".to_owned(),
         verdict => format!("Verdict: {verdict}, because"),
     };
     let reasons: Vec<&Finding> = findings.iter().filter(|f| f.severity > Severity::Note).collect();
@@ -40,8 +40,8 @@ pub(super) fn next_text(next: &NextBoard) -> String {
     };
     let [before, after] = next.largest_mm;
     format!(
-        "Next: of the boards tried, one at {:.0} mm {}, {tilt}, would help most: it would lower the \
-         largest σ in space from {} to {} mm.",
+        "Next board: at {:.0} mm {}, {tilt}. Of the boards tried, it lowers the largest σ in space \
+         most, from {} to {} mm.",
         next.distance_mm,
         next.place,
         two_digits(before),
@@ -71,8 +71,8 @@ pub fn outliers_text(assessment: &Assessment) -> Vec<String> {
 /// Returns the table of σ of reconstructed points, by distance.
 pub(super) fn object_space_table(space: &ObjectSpace) -> Table {
     let mut table = Table::new(
-        "σ of a reconstructed point against the boards, median and worst over the image: due to the calibration, and due \
-         to the noise of one observation of it",
+        "σ of a reconstructed point relative to the boards, median and worst over the image: from \
+         the calibration, and from the noise of one observation",
         [
             Column::of("Distance", "mm"),
             Column::of("± across", "mm"),

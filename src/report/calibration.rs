@@ -111,25 +111,25 @@ fn of_board(calibration: &Calibration) -> Vec<ParameterRow> {
 fn std_dev_text(calibration: &Calibration) -> String {
     let uncertainty = &calibration.uncertainty;
     if uncertainty.free_intrinsics.is_empty() {
-        return "σ lets all features of a corner have errors in common.".to_owned();
+        return "σ allows for errors shared by all features of a corner.".to_owned();
     }
     if !uncertainty.shared {
-        return "σ takes the errors of all observations as independent: it needs six frames to see \
-                what they share, and is too small if they do."
+        return "σ assumes that the errors of all observations are independent, and is too small if \
+                they are not: shared errors are measured from six frames on."
             .to_owned();
     }
     let contradiction = uncertainty.contradiction().map_or(String::new(), |(index, std_devs)| {
         format!(
             " Boards and micro-image centres contradict each other by {std_devs:.0} σ, most in {}; \
-             σ does not contain that.",
+             σ does not include this.",
             Parameter::shared(calibration.camera.lens_types())[index].name()
         )
     });
     let of_all = uncertainty.std_dev_uncertainties(calibration.camera.lens_types());
     let known = || of_all.iter().flatten().copied().filter(|u| u.is_finite());
     format!(
-        "σ comes from how much the {} frames contradict each other, so it holds what all corners of a \
-         frame have in common. With so few frames it is itself uncertain by {:.0} to {:.0} \
+        "σ is estimated from the scatter between the {} frames and includes errors shared by all \
+         corners of a frame. With this number of frames, σ itself is uncertain by {:.0} to {:.0} \
          %.{contradiction}",
         calibration.poses.len(),
         100.0 * known().fold(f64::INFINITY, f64::min),
@@ -147,16 +147,16 @@ fn prior_weight_text(calibration: &Calibration) -> String {
     };
     let why = if calibration.uncertainty.shared {
         format!(
-            "as the frames show, the observations know the quantities with a prior about that much {known} \
-             (in variance) than their σ predict"
+            "the frames show that the observations determine the quantities with a prior {known} \
+             than their σ predict, by about this factor in variance"
         )
     } else {
-        "so few frames do not show how well the observations know the quantities with a prior, and ten \
-         times the variance of independent errors is assumed"
+        "so few frames do not show how well the observations determine the quantities with a \
+         prior, and ten times the variance of independent errors is assumed"
             .to_owned()
     };
     format!(
-        "Against the priors, the weight of every observation is {changed} by {factor:.3}: {why}."
+        "The weight of every observation relative to the priors is {changed} by {factor:.3}: {why}."
     )
 }
 
@@ -276,7 +276,8 @@ fn systematic_errors_table(calibration: &Calibration) -> Option<Table> {
     let of_parameter =
         |&row: &usize| Column::number(names[uncertainty.free_intrinsics[row]].name());
     let mut table = Table::new(
-        "What was taken from the white images, and the change of parameters, in their σ",
+        "Quantities from the white images, and the change of parameters by one σ of each, in σ of \
+         the parameter",
         std::iter::once(Column::text("One σ of")).chain(shown.iter().map(of_parameter)),
     );
     for SystematicChange { source, changes } in &uncertainty.systematic_changes {
@@ -336,13 +337,13 @@ fn summary(calibration: &Calibration) -> String {
     let what = if calibration.cost.loss.kind == LossKind::None {
         "Measured noise per coordinate"
     } else {
-        "Measured noise per coordinate, large residuals weighted down by the loss"
+        "Measured noise per coordinate, with large residuals weighted down by the loss"
     };
     let _ = writeln!(text, "{what}, px: {}.", sigmas.join("; "));
     if let (Some(m), Some(error)) = (calibration.m_mm, calibration.m_error()) {
         let _ = writeln!(
             text,
-            "|m| of the white images is {:.3} µm, of this camera {:.3} µm: error {:.2} %.",
+            "|m| is {:.3} µm in the white images and {:.3} µm in this camera: error {:.2} %.",
             m * 1e3,
             m / (1.0 - error) * 1e3,
             100.0 * error
@@ -387,15 +388,15 @@ fn board_text(calibration: &Calibration) -> String {
     match (&board.trial, calibration.options.board) {
         (Trial::NotTried, _) if !flat => format!("The shape of the board: {found}."),
         (Trial::NotTried, BoardModel::Known(_)) => {
-            "The shape of the board is taken as known.".to_owned()
+            "The shape of the board is assumed to be known.".to_owned()
         }
-        (Trial::NotTried, _) => "The board is taken to be flat.".to_owned(),
+        (Trial::NotTried, _) => "The board is assumed to be flat.".to_owned(),
         (Trial::TooFewFrames, _) => {
-            "The board is taken to be flat: so few frames do not show whether it is.".to_owned()
+            "The board is assumed to be flat: the frames are too few to test it.".to_owned()
         }
-        (Trial::Failed(reason), _) => sentence(&format!(
-            "The board is taken to be flat, since whether it is could not be found out: {reason}"
-        )),
+        (Trial::Failed(reason), _) => {
+            sentence(&format!("The board is assumed to be flat, because the test failed: {reason}"))
+        }
         (Trial::Tried { std_devs_from_zero, .. }, _) => format!(
             "The board is {}flat: {found}. {}",
             if flat { "" } else { "not " },
@@ -408,12 +409,12 @@ fn board_text(calibration: &Calibration) -> String {
 fn why(std_devs_from_zero: &[Option<f64>; 2]) -> String {
     let known = ["bend", "aspect"].into_iter().zip(std_devs_from_zero);
     let parts: Vec<String> = known
-        .filter_map(|(name, std_devs)| Some(format!("the {name} by {:.1} σ", (*std_devs)?)))
+        .filter_map(|(name, std_devs)| Some(format!("{name} {:.1} σ", (*std_devs)?)))
         .collect();
     if parts.is_empty() {
         return "The frames do not determine its shape.".to_owned();
     }
-    format!("From 0 differ {}; more than 3 σ count.", parts.join(", "))
+    format!("Differences from 0: {}; the limit is 3 σ.", parts.join(", "))
 }
 
 /// Returns the effort of the refinements that only tested whether the board is flat; empty if there were none.
@@ -421,7 +422,7 @@ fn aside_text(aside: &Effort) -> String {
     match aside.iterations {
         0 => String::new(),
         iterations => format!(
-            " Trying whether the board is flat took {iterations} more, and {:.3} s.",
+            " The test for a flat board took {iterations} more iterations and {:.3} s.",
             aside.time_s
         ),
     }
@@ -438,7 +439,7 @@ fn aperture_ratio_text(calibration: &Calibration) -> Option<String> {
         (Some(ratio), Some(_)) => ratio.to_string(),
         (Some(ratio), None) => format!("{ratio}, assumed"),
         (None, _) if calibration.m_mm.is_some() => {
-            "1, assumed, since the features state no measured blur".to_owned()
+            "1, assumed, because the features have no measured blur".to_owned()
         }
         (None, _) => return None,
     };

@@ -25,11 +25,11 @@ pub fn comparison_section(comparison: &CameraComparison) -> Section {
     let most = in_std_devs.iter().map(|(_, std_devs)| std_devs.abs()).fold(0.0, f64::max);
     let blur_px = comparison.blur_rms_px();
     let verdict = if rms_px < HARDLY_PX && blur_px.is_none_or(|blur| blur < HARDLY_BLURRED_PX) {
-        "The two cameras see the same"
+        "The two cameras project alike"
     } else if rms_px < HARDLY_PX {
-        "The two cameras see the same points, but blur them differently"
+        "The two cameras project points alike, but blur them differently"
     } else {
-        "The two cameras see differently"
+        "The two cameras project differently"
     };
     let differing: Vec<String> = in_std_devs
         .iter()
@@ -40,15 +40,19 @@ pub fn comparison_section(comparison: &CameraComparison) -> Section {
         None
     } else if differing.is_empty() {
         Some(format!(
-            "No parameter is more than {most:.1} σ apart. Parameters trade off, so what the cameras see says more."
+            "No parameter differs by more than {most:.1} σ. Parameters trade off, so the \
+             projections are the better criterion."
         ))
     } else {
-        Some(format!("Parameters apart by more than {DIFFERENT:.0} σ: {}.", differing.join(", ")))
+        Some(format!(
+            "Parameters that differ by more than {DIFFERENT:.0} σ: {}.",
+            differing.join(", ")
+        ))
     };
     let blur = blur_px.map_or(String::new(), |blur| format!(" and blur radii {blur:.3} px"));
     let seen = format!(
-        "{verdict}: pixels are {rms_px:.3} px RMS apart{blur}, after their frames were brought together by ({}, {}, {}) mm and {:.3} mrad; {:.3} px \
-         without that.",
+        "{verdict}: pixels differ by {rms_px:.3} px RMS{blur} after the camera frames are aligned \
+         by ({}, {}, {}) mm and {:.3} mrad; by {:.3} px before.",
         fixed_signed(shift.x, 3),
         fixed_signed(shift.y, 3),
         fixed_signed(shift.z, 3),
@@ -64,7 +68,7 @@ pub fn comparison_section(comparison: &CameraComparison) -> Section {
 
 fn distances(comparison: &CameraComparison) -> Table {
     let mut table = Table::new(
-        "By distance from the first camera, after the motion",
+        "Differences by distance from the first camera, after the alignment",
         [
             Column::of("At", "mm"),
             Column::of("RMS", "px"),

@@ -54,21 +54,22 @@ fn verdict(evaluated: &Calibration) -> String {
     let uncertainty = &evaluated.uncertainty;
     let (gain, cost) = (uncertainty.expected_decrease, evaluated.refinement.cost);
     let gain = format!(
-        "One more Gauss-Newton step would lower the cost by {} ({} of it)",
+        "One more Gauss-Newton step would lower the cost by {} ({} of the cost)",
         significant(gain, 4),
         significant(gain / cost, 2)
     );
     let farthest =
         steps(evaluated).into_iter().max_by(|a, b| a.std_devs().total_cmp(&b.std_devs()));
     let moves = farthest.map_or(String::new(), |step| {
-        format!(", and move {} most, by {} σ of it", step.name, significant(step.std_devs(), 2))
+        format!(", and change {} most, by {} σ", step.name, significant(step.std_devs(), 2))
     });
     let away = std_devs_from_minimum(evaluated);
     let verdict = match (evaluated.converged, away < NEGLIGIBLE) {
         (true, _) => "This is a minimum.".to_owned(),
         (false, true) => "This is a minimum for all practical purposes.".to_owned(),
         (false, false) => format!(
-            "This is no minimum of this cost: the next one is about {} σ of independent errors away, along the way there.",
+            "This is not a minimum of this cost: the minimum is about {} σ of independent errors \
+             away, in the direction of the step.",
             significant(away, 2)
         ),
     };
@@ -118,7 +119,7 @@ fn steps(evaluated: &Calibration) -> Vec<Step> {
 
 fn steps_table(evaluated: &Calibration) -> Table {
     let mut table = Table::new(
-        "Gradient, and the next step",
+        "Gradient and next step",
         [
             Column::text("Parameter"),
             Column::text("Unit"),

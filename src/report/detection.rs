@@ -71,6 +71,7 @@ fn frames_table(frames: &[DetectedFrame]) -> Table {
 /// Meaning of the columns.
 const COLUMNS: &str = "\
 Corners: corner observations found in single micro-images. Board: labelled corners.
-Dropped: alone (in no cluster), off the line of their cluster, texture (a large cluster with hardly a line), off the board.
-Searched for again where they are expected: board corners lost; micro-images unclear, with the corner misplaced, or of a corner \
-given up.";
+Dropped: alone (in no cluster), off the line of their cluster, texture (a large cluster with few corners on a line), off the \
+board.
+Searched for again at the predicted positions: board corners lost; micro-images unclear, with the corner misplaced, or of a \
+corner given up.";

@@ -47,8 +47,8 @@ pub fn evaluation_section(
         ],
     );
     let mut space = Table::new(
-        "Their corners, each reconstructed alone from u and v: error of the distances between them, and RMS distance \
-         from the posed board across and along the axis",
+        "Corners of these boards, each reconstructed separately from u and v: error of the \
+         distances between them, and RMS distance from the posed board across and along the axis",
         [
             Column::text("Camera"),
             Column::number("Frames"),
@@ -157,7 +157,7 @@ fn steps_table(evaluation: &Evaluation) -> Option<Table> {
     let first = series.first()?.1;
     let columns = series.iter().map(|(name, _)| Column::of(name, "mm"));
     let mut table = Table::new(
-        "The steps one by one",
+        "Single steps",
         [Column::text("Frames"), Column::of("True", "mm")].into_iter().chain(columns),
     );
     for step in &first.steps {
@@ -213,7 +213,7 @@ pub fn truth_table(errors: &[ParameterError], caption: &str) -> Table {
 /// Returns the table of errors of poses, by subset of the boards.
 fn pose_errors_table(subsets: &[(String, PoseErrors)]) -> Table {
     let mut table = Table::new(
-        "Errors of the poses against the true ones, root mean square",
+        "Errors of the poses relative to the truth, root mean square",
         [
             Column::text("Boards"),
             Column::number("Frames"),

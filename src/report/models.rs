@@ -5,8 +5,8 @@ use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
 
 /// Caption of the table of models.
-pub const MODELS: &str = "What each group of parameters is worth: the calibration without it, and how much \
-     larger the squared error of frames then is that took no part";
+pub const MODELS: &str = "Value of each group of parameters: the calibration without it, and the growth of the squared \
+     error of held-out frames";
 
 /// Returns the table of models, with its conclusions. `figures` come from `model_figures`, or are empty.
 #[must_use]
@@ -19,7 +19,7 @@ pub fn models_parts(
     parts.extend(sentences(calibration, comparison).into_iter().map(Part::Text));
     for (without, figures) in comparison.groups.iter().zip(figures) {
         parts.push(Part::Details {
-            summary: format!("Residuals with the {} and without", without.group),
+            summary: format!("Residuals with and without the {}", without.group),
             parts: figures.into_iter().map(Part::Figure).collect(),
         });
     }
@@ -73,10 +73,10 @@ fn models_table(calibration: &Calibration, comparison: &ModelComparison) -> Tabl
 
 fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<String> {
     let mut sentences = vec![format!(
-        "Error: |r/σ|² of a feature in a frame that took no part in the calibration; with everything its mean is \
-         {:.3} ({} folds of {} frames). Given is by how much it grows, in the mean over the frames, with σ from \
-         their scatter. A group earns its keep if that is more than 1 % and more than 2 σ, and harms if it is as \
-         much less. χ²: by how much twice the cost grows, in its parts, divided by the weight of the priors.",
+        "Error: growth of |r/σ|² of a feature in held-out frames, averaged over the frames, with σ \
+         from their scatter; with all groups the mean of |r/σ|² is {:.3} ({} folds of {} frames). \
+         A group earns its keep if the growth exceeds 1 % and 2 σ, and harms if the error shrinks \
+         by as much. χ²: growth of twice the cost, by parts, divided by the weight of the priors.",
         comparison.mean_error(),
         comparison.folds,
         comparison.errors.len()
@@ -93,8 +93,8 @@ fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Str
 fn unasked_text(calibration: &Calibration, without: &WithoutGroup) -> String {
     let (longer, std_devs) = without.focal_length_change;
     format!(
-        "Without the {} F would be {:.3} mm ({:+.2} %, {:+.1} σ), and the left-out frames do not say which is \
-         right: state what you know of F or of {}.",
+        "Without the {}, F is {:.3} mm ({:+.2} %, {:+.1} σ), and the held-out frames do not decide \
+         which is right: state a prior on F or on {}.",
         without.group,
         without.camera.main_lens.focal_length_mm,
         100.0 * longer / calibration.camera.main_lens.focal_length_mm,

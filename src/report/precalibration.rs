@@ -34,7 +34,7 @@ fn levels_text(result: &Precalibration) -> Option<String> {
         None => format!("Black level {} grey levels, as stated.", levels.black_level),
     });
     let full = levels.saturation_level.map(|level| {
-        format!("Pixels are full at {level:.0} of {:.0} grey levels.", full_scale(levels.bits))
+        format!("Pixels saturate at {level:.0} of {:.0} grey levels.", full_scale(levels.bits))
     });
     let parts: Vec<String> = black.into_iter().chain(full).collect();
     (!parts.is_empty()).then(|| parts.join(" "))
@@ -61,7 +61,7 @@ pub fn array_text(array: &ArrayMeasurement) -> String {
     let left_out: Vec<String> = [
         (out.cut, "cut by the border"),
         (out.dark, "dark"),
-        (out.saturated, "saturated all over"),
+        (out.saturated, "fully saturated"),
         (out.misplaced, "misplaced"),
     ]
     .into_iter()

@@ -42,7 +42,7 @@ pub(super) fn summary_parts(
         let std_dev =
             relative.std_dev.map_or(String::new(), |s| format!(" ± {}", fixed(100.0 * s, 3)));
         parts.push(Part::Text(format!(
-            "Known steps: the displacements are {}{std_dev} % off on average ({} steps).",
+            "Known steps: the mean error of the displacements is {}{std_dev} % ({} steps).",
             fixed(100.0 * relative.mean, 3),
             displacements.steps.len()
         )));
@@ -133,7 +133,8 @@ fn tilt(calibration: &Calibration) -> Option<[Cell; 4]> {
 fn space_table(distances: &[Distance]) -> Table {
     let within: Vec<&Distance> = distances.iter().filter(|d| d.within_boards).collect();
     let mut table = Table::new(
-        "σ of a point in space, median over the image: by the calibration, and by the noise of one corner",
+        "σ of a point in space, median over the image: from the calibration, and from the noise of \
+         one corner",
         [
             Column::of("Distance", "mm"),
             Column::of("± across", "mm"),
@@ -161,7 +162,7 @@ pub(super) fn truth_text(errors: &[ParameterError]) -> Option<String> {
     let worst = known.max_by(|a, b| of(a).unwrap_or(0.0).total_cmp(&of(b).unwrap_or(0.0)))?;
     let focal = errors.iter().find(|error| error.name == "F")?;
     Some(format!(
-        "Against the true camera: F {} % off; the largest error is {} σ, of {}.",
+        "Against the true camera: the error of F is {} %; the largest error is {} σ, of {}.",
         fixed_signed(100.0 * focal.error() / focal.truth, 3),
         fixed_signed(worst.standardised()?, 1),
         worst.name

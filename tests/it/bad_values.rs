@@ -305,7 +305,7 @@ fn a_folder_names_the_cameras_in_it() {
         plenocal().arg("compare").arg(camera).arg(folder.path()).assert().failure()
     };
     fs::write(folder.path().join("project.toml"), documents::PROJECT).unwrap();
-    compared().stderr(contains("it is a folder").and(contains("there is none in it")));
+    compared().stderr(contains("it is a folder").and(contains("no calibrated camera")));
     let results = folder.path().join("results/calibration");
     fs::create_dir_all(&results).unwrap();
     let camera = results.join("camera.json");

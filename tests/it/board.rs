@@ -185,7 +185,7 @@ fn with_a_flat_board_nothing_changes() {
     let assessment = assess(&auto, &scene.board).unwrap();
     let text = calibration_section("Calibration", &auto, &assessment, Vec::new()).to_text();
     assert!(text.contains("The board is flat: below sag_x 0.0"), "{text}");
-    assert!(text.contains("From 0 differ the bend by "), "{text}");
+    assert!(text.contains("Differences from 0: bend "), "{text}");
     // A parameter that is fixed has no limit, and takes none from the others.
     let mut options = defaults();
     options.fix.push(Parameter::Twist);

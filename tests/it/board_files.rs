@@ -81,7 +81,7 @@ fn the_shape_of_a_board_is_read_beside_its_camera() {
         "--out",
         path("x").to_str().unwrap(),
     ]);
-    assert!(!done && stderr.contains("it has no board_shape of a board of 9 x 6"), "{stderr}");
+    assert!(!done && stderr.contains("it has no board_shape for a board of 9 x 6"), "{stderr}");
 }
 
 /// A shape that a file states, or that is to be found without a camera, and what the project says of the board.
@@ -97,9 +97,9 @@ fn assert_contradictions_are_refused(folder: &Path, camera: &Path, shape_file: &
         command.arg("calibrate").arg(&refused).args(arguments);
         command.arg("--out").arg(folder.join("refused")).assert()
     };
-    let says = contains("the project says board = \"bent\"");
+    let says = contains("the project states board = \"bent\"");
     calibrate(&["--board-shape", shape_file]).code(1).stderr(says);
     let poses_only = ["--mode", "poses-only", "--camera", camera.to_str().unwrap()];
-    calibrate(&poses_only).code(1).stderr(contains("say --board auto"));
+    calibrate(&poses_only).code(1).stderr(contains("give --board auto"));
     calibrate(&[&poses_only[..], &["--board", "auto"]].concat()).success();
 }

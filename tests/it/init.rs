@@ -64,7 +64,7 @@ static SIMULATED: LazyLock<Files> = LazyLock::new(|| {
         .assert()
         .success()
         .stdout(predicate::str::contains("plenocal run"))
-        .stdout(predicate::str::contains("taken to be grey"))
+        .stdout(predicate::str::contains("assumed to be grey"))
         .stdout(predicate::str::contains("fill in").not())
         .stderr(predicate::str::is_empty());
     Files::read(folder.path())

@@ -67,7 +67,7 @@ fn a_solution_from_elsewhere_is_evaluated() {
     moved["main_lens"]["focal_length_mm"] = (f + 0.001).into();
     let other = at("other.json");
     std::fs::write(&other, moved.to_string()).unwrap();
-    evaluate(&other, "moved").success().stdout(contains("This is no minimum of this cost"));
+    evaluate(&other, "moved").success().stdout(contains("This is not a minimum of this cost"));
     let moved = json(&at("moved/cost.json"));
     let step = moved["evaluation"]["next_step"]["F"].as_f64().unwrap();
     assert!((step + 0.001).abs() < 1e-4, "{step}");
@@ -76,7 +76,7 @@ fn a_solution_from_elsewhere_is_evaluated() {
     let same = at("twice");
     calibrate(&["--export-problem", same.to_str().unwrap()], "twice")
         .failure()
-        .stderr(contains("name one folder"));
+        .stderr(contains("name the same folder"));
     assert!(!same.join("camera.json").exists());
 
     // What is missing is named.
@@ -168,7 +168,7 @@ fn an_evaluation_by_another_cost_says_in_what_it_differs() {
     let forgotten = evaluated(folder.path(), &[project.to_str().unwrap()]).success();
     let output = String::from_utf8(forgotten.get_output().stdout.clone()).unwrap();
     let told = output.find("The cost differs from the problem in problem").expect(&output);
-    assert!(told < output.find("This is no minimum of this cost").unwrap(), "{output}");
+    assert!(told < output.find("This is not a minimum of this cost").unwrap(), "{output}");
     for term in [
         "loss cauchy 3 in the problem, loss none here",
         "residuals of ρ in the problem, no residuals of ρ here",
@@ -234,7 +234,7 @@ fn no_option_of_the_cost_is_given_beside_a_problem() {
         "shape": {"sag_x_mm": 0.1, "sag_y_mm": 0.0, "twist_mm": 0.0, "aspect": 0.0},
     }});
     std::fs::write(&bent, shape.to_string()).unwrap();
-    let told = contains("holds the board in another shape");
+    let told = contains("fixes another shape of the board");
     with(&["--board-shape", "bent.json"]).failure().stderr(told);
     with(&["--threads", "1"]).success();
     let mut command = plenocal();

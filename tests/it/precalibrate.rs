@@ -203,7 +203,7 @@ fn sizes_that_do_not_fit_a_makers_calibration_are_rejected() {
     }
     run_maker(folder.path(), "30x25")
         .code(1)
-        .stderr(contains("maker.xml").and(contains("check --size")));
+        .stderr(contains("maker.xml").and(contains("Check --size")));
     run_maker(folder.path(), "1x1").code(1).stderr(contains("maker.xml"));
     assert!(!folder.path().join("results").exists());
 }

@@ -140,8 +140,8 @@ fn a_run_ends_within_a_screen() {
         "Held-out boards: ",
         "± along",
         "Known steps: ",
-        "Against the true camera: F ",
-        "Next: ",
+        "Against the true camera: the error of F is ",
+        "Next board: ",
         "report.html",
     ] {
         assert!(stdout.contains(words), "{words}: {stdout}");
@@ -267,7 +267,7 @@ fn a_folder_belongs_to_one_run_and_a_damaged_manifest_deletes_nothing_elsewhere(
 
 #[test]
 fn a_single_fold_is_rejected() {
-    Run::copy().again(&["--folds", "1"]).code(1).stderr(contains("one fold leaves nothing"));
+    Run::copy().again(&["--folds", "1"]).code(1).stderr(contains("one fold leaves no frames"));
 }
 
 /// Options that do not fit the comparison or the folds do not stop the run.
@@ -327,7 +327,7 @@ fn images_of_the_calibration_evaluate_nothing() {
     }
     run.single("extrinsics", &[])
         .code(1)
-        .stderr(contains("the images for evaluation are those of the calibration"))
+        .stderr(contains("the images for evaluation are also images of the calibration"))
         .stderr(contains("no frame shows the board").not());
 }
 
@@ -421,12 +421,12 @@ fn missing_parts_of_a_project_are_reported_before_any_stage() {
         program.assert().code(1).stderr(contains(words));
         assert!(!out.exists());
     };
-    rejected("", "there is no camera in it");
+    rejected("", "it has no camera");
     let camera = "[sensor]\nwidth_px = 100\nheight_px = 80\npixel_size_mm = 0.005\n\
                   [main_lens]\nfocal_length_mm = 50\nf_number = 4\nfocus_distance_mm = 500\n\
                   [micro_lens_array]\nconfiguration = \"galilean\"\nlattice = \"hexagonal-rows\"\n\
                   columns = 5\nrows = 4\nlens_types = 3\n";
-    rejected(camera, "there is no board in it");
+    rejected(camera, "it has no board");
     let board = format!("{camera}[board]\ncolumns = 8\nrows = 5\nsquare_mm = 3\n");
     rejected(&board, "it lists no images");
     let images = format!("{board}[images]\ncolor = \"grey\"\n");

@@ -429,6 +429,6 @@ fn cameras_with_other_micro_lenses_blur_differently() {
     fs::write(&path, other.to_string()).unwrap();
     let mut command = plenocal();
     command.arg("compare").arg(camera_file()).arg(&path).assert().success().stdout(contains(
-        "The two cameras see the same points, but blur them differently: pixels are 0.000 px RMS apart",
+        "The two cameras project points alike, but blur them differently: pixels differ by 0.000 px RMS",
     ));
 }

@@ -43,9 +43,10 @@ pub(super) fn measured_blur(calibration: &Calibration) -> Option<Figure> {
         panel(&area.within_axes(), lens_type, dots, slope, [across, up], &mut drawing);
     }
     let caption = format!(
-        "Measured blur radii over ρ, the blur radius of micro-lenses as wide as their pitch, by lens type. Dots are means of features with about the same ρ, bars their σ. The line has the slope {slope:.3}, \
-         the aperture ratio; the dashed line would be 1. Dots of one type that lie off the line say that q' of that type, \
-         or its order among the types, is wrong."
+        "Measured blur radii against ρ, the blur radius for an aperture ratio of 1, by lens type. \
+         Dots are means of features with similar ρ, bars their σ. The line has the slope \
+         {slope:.3}, the aperture ratio; the dashed line has the slope 1. If the dots of one type \
+         lie off the line, q' of this type or the order of the types is wrong."
     );
     Some(drawing.figure("measured-blur", caption))
 }

@@ -56,8 +56,9 @@ pub(super) fn rmse(calibration: &Calibration) -> Option<Figure> {
     let (by, which) =
         if types > 0 { ("lens type and by frame", "frame or type") } else { ("frame", "frame") };
     let caption = format!(
-        "Root mean square errors of features by {by}; the dashed lines are those of all features. A \
-         {which} that stands out has worse observations than the others, or the model fits it worst."
+        "Root mean square errors of features by {by}; the dashed lines are for all features. A \
+         {which} that stands out has worse observations than the others, or the model fits it \
+         worse."
     );
     Some(drawing.figure("rmse", caption))
 }
@@ -141,11 +142,10 @@ pub(super) fn convergence(calibration: &Calibration) -> Option<Figure> {
     drawing.discs(&lowest_places, 2.8, WHITE);
     let words = format!("Cost: {} at the start, {} at the end", short(costs[0].1), short(last.1));
     drawing.title(&chart, &words);
-    let caption =
-        "Cost above the lowest cost at every iteration; a hollow dot marks the lowest itself. A \
-                   straight fall to the end shows sound convergence, a long flat stretch a valley of \
-                   weak directions."
-            .to_owned();
+    let caption = "Cost above the lowest cost at every iteration; a hollow dot marks the lowest \
+                   cost. A steady decrease to the end shows good convergence, a long plateau weak \
+                   directions."
+        .to_owned();
     Some(drawing.figure("convergence", caption))
 }
 

@@ -44,7 +44,7 @@ pub(super) fn correlations(calibration: &Calibration) -> Option<Figure> {
          combination of the two parameters well."
     );
     if uncertainty.determined[..names.len()].contains(&false) {
-        caption.push_str(" A question mark stands for parameters that are not determined at all.");
+        caption.push_str(" A question mark marks parameters that are not determined.");
     }
     Some(drawing.figure("correlations", caption))
 }

@@ -46,8 +46,8 @@ pub(super) fn distortion(camera: &PlenopticCamera) -> Result<Option<Figure>> {
     key(&plane, image_px, factor, &mut drawing);
     bands.draw_scale(&plane, image_px, &mut drawing);
     let caption = format!(
-        "How far the distortion of the main lens moves an image point at each place of the sensor, in \
-         px (colours); the arrows are {}. The distortion is known only where there are features.",
+        "Displacement of image points by the distortion of the main lens over the sensor, in px \
+         (colours); the arrows are {}. The distortion is known only where there are features.",
         enlarged(factor)
     );
     Ok(Some(drawing.figure("distortion", caption)))

@@ -60,8 +60,9 @@ pub(super) fn residual_histograms(calibration: &Calibration) -> Option<Figure> {
         "the standard deviation after weighting by the loss"
     };
     let caption = format!(
-        "Residuals with the normal curve of {spread}. Bars that do not follow the curve, or lie far \
-         out, are errors other than noise: false observations, or something that the model lacks."
+        "Residuals with the normal distribution of {spread}. Bars that do not follow the curve, or \
+         lie far out, show errors other than noise: false observations, or effects outside the \
+         model."
     );
     Some(drawing.figure("residual-histograms", caption))
 }

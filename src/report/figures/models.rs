@@ -39,8 +39,8 @@ fn arrows(calibration: &Calibration, without: &WithoutGroup) -> Figure {
     let [with, gone] = titles(without);
     let (drawing, how) = means_side_by_side(&calibration.camera.sensor, residuals, [&with, &gone]);
     let caption = format!(
-        "Observed minus projected (u, v) of features with the {0} and without: {how}. Arrows that line up only \
-         on the right are what the {0} explains.",
+        "Observed minus projected (u, v) of features with the {0} and without: {how}. Patterns \
+         that appear only on the right are explained by the {0}.",
         without.group
     );
     drawing.figure(&name(without, "residuals"), caption)
@@ -130,10 +130,11 @@ fn rings(calibration: &Calibration, without: &WithoutGroup) -> Figure {
     let names = [(&*with, BLUE), (&*gone, ORANGE)];
     drawing.legend(Vector2::new(76.0, 18.0), 250.0, &names);
     let caption = format!(
-        "The same residuals against the distance from the axis, as means over the corners in rings with \
-         their standard errors: how far corners lie away from where they are projected, and by how much the \
-         micro-images show a corner too far apart, which is a wrong depth. Both should be 0 with the {0}; what is \
-         not without it is what the {0} explains and the poses of the boards cannot.",
+        "The same residuals against the distance from the axis, as means over the corners in rings \
+         with their standard errors: radial displacement of corners from their projections, and \
+         excess parallax of a corner between micro-images, which is an error of depth. Both should \
+         be 0 with the {0}. Deviations without it are explained by the {0} and not by the poses of \
+         the boards.",
         without.group
     );
     drawing.figure(&name(without, "over-radius"), caption)

@@ -36,12 +36,12 @@ pub(super) fn object_space(space: &ObjectSpace) -> Option<Figure> {
         let unit = map(&rows, &columns, i, left, &mut drawing);
         drawing.text(Vector2::new(left, 18.0), Anchor::Start, 15.0, &format!("σ {title}, {unit}"));
     }
-    let caption = "σ of a point reconstructed with this camera, against the boards of the \
-                   calibration, over its place along the middle row of the image (u, px) and its \
-                   distance (mm). It is the error of the calibration alone, with camera and poses \
-                   together; the noise of an observation comes on top. Distances in orange lie \
-                   outside those of the boards: the camera is extrapolated there. Empty cells: fewer \
-                   than two micro-lenses see the point."
+    let caption = "σ of a point reconstructed with this camera, relative to the boards of the \
+                   calibration, against its position in the middle row of the image (u, px) and \
+                   its distance (mm). It is the error of the calibration, with camera and poses \
+                   together; the noise of an observation adds to it. Distances in orange lie \
+                   outside the range of the boards: the camera is extrapolated there. Empty cells: \
+                   fewer than two micro-lenses image the point."
         .to_owned();
     Some(drawing.figure("object-space", caption))
 }

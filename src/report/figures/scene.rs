@@ -97,10 +97,10 @@ pub(super) fn scene(calibration: &Calibration, board: &Board) -> Option<Figure> 
     draw_camera(&sensor, &lens, &view, &mut drawing);
     numbers(&boards, &view, &mut drawing);
     let caption =
-        "The camera and the boards as calibrated, in mm in the camera frame. Numbers are frames, \
-                   a dot marks a board's first corner, and dashed lines bound what the sensor sees \
-                   through the middle of the main lens. Boards at many distances and tilts, all \
-                   over the field of view, determine a camera well."
+        "The camera and the boards as calibrated, in mm in the camera frame. Numbers are \
+                   frames, a dot marks the first corner of a board, and dashed lines bound the \
+                   field of view of the sensor through the middle of the main lens. Boards at many \
+                   distances and tilts, all over the field of view, determine a camera well."
             .to_owned();
     Some(drawing.figure("scene", caption))
 }

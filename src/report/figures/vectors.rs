@@ -214,7 +214,7 @@ pub(super) fn residual_vectors(calibration: &Calibration) -> Option<Figure> {
     };
     let caption = format!(
         "{what}: {how}. Good residuals point in random directions everywhere; a pattern over the \
-         sensor means that the model lacks something."
+         sensor means that the model is incomplete."
     );
     Some(drawing.figure("residual-vectors", caption))
 }
@@ -243,7 +243,7 @@ pub fn comparison_figures(comparison: &CameraComparison, sensor: &Sensor) -> Vec
         let at_mm = (1e3 * d.at_mm).round() / 1e3;
         let title = format!("Second camera minus first at {at_mm} mm");
         let caption =
-            format!("{title}: shifts of pixels after their frames were brought together.");
+            format!("{title}: shifts of pixels after the alignment of the camera frames.");
         shifts(&d.shifts_px, sensor, &title).figure(&format!("shifts-{at_mm}-mm"), caption)
     };
     comparison.distances.iter().map(of).collect()
