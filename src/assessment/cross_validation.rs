@@ -125,11 +125,15 @@ pub fn foldable_frames(
     let frames: Vec<u32> =
         observations.frames().into_iter().filter(|f| !excluded.contains(f)).collect();
     if folds < 2 || frames.len() < folds {
-        return Err(Error::invalid(format!(
-            "{} frames cannot be divided into {folds} folds: use at least two folds, and at most \
-             one for each frame",
-            frames.len()
-        )));
+        return Err(indivisible(frames.len(), folds));
     }
     Ok(frames)
+}
+
+/// Returns the error for fewer than two folds, or for more folds than frames.
+pub(super) fn indivisible(frames: usize, folds: usize) -> Error {
+    Error::invalid(format!(
+        "{frames} frames cannot be divided into {folds} folds: use at least two folds, and at most \
+         one for each frame"
+    ))
 }

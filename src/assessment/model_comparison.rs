@@ -5,7 +5,7 @@ use std::fmt;
 
 use rayon::prelude::*;
 
-use super::cross_validation::frames_of_fold;
+use super::cross_validation::{frames_of_fold, indivisible};
 use super::patterns::image_pattern;
 use crate::calibration::{Calibration, Minimum, Refit};
 use crate::error::{Error, Result};
@@ -351,10 +351,7 @@ fn check(
         )));
     }
     if folds < 2 || folds > frames {
-        return Err(Error::invalid(format!(
-            "{frames} frames cannot be divided into {folds} folds: use at least two folds, and at \
-             most one for each frame"
-        )));
+        return Err(indivisible(frames, folds));
     }
     Ok(())
 }

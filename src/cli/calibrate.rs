@@ -86,8 +86,8 @@ pub struct Arguments {
     /// cost is taken from --problem or, without it, from the project and the options given here, priors included.
     #[arg(long, requires_all = ["camera", "poses"], conflicts_with_all = ["compare_models", "compote"], help_heading = "Estimation")]
     evaluate_only: bool,
-    /// Folder written by --export-problem. It contains the observations, the board and the cost of the evaluation, so that
-    /// neither a project nor options of the cost can be given too.
+    /// Folder written by --export-problem. It defines the observations, the board and the cost, so a project or options of the
+    /// cost cannot be given as well.
     #[arg(long, value_name = "DIR", requires = "evaluate_only", conflicts_with_all = IN_PROBLEM, help_heading = "Estimation")]
     problem: Option<PathBuf>,
 
