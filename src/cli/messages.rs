@@ -54,7 +54,7 @@ pub fn announce_file(name: &str, bytes: f64) {
 /// Announces the memory that work needs, if it is large. If it is not available, the system ends the program without a message.
 pub fn announce_memory(work: &str, bytes: f64) {
     if bytes > ANNOUNCED_BYTES {
-        say(&format!("{work} takes some {:.1} GB of memory", bytes / 1e9));
+        say(&format!("{work} needs about {:.1} GB of memory", bytes / 1e9));
     }
 }
 

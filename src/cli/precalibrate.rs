@@ -161,7 +161,7 @@ fn of_raytrix(
             .in_file(path)
     };
     let about = maker.number_of_centers(width, height).map_err(of_this_size)?;
-    announce_memory(&format!("an array of some {about:.0} micro-lenses"), about * CENTER_BYTES);
+    announce_memory(&format!("an array of about {about:.0} micro-lenses"), about * CENTER_BYTES);
     let centers = maker.centers(width, height).map_err(of_this_size)?;
     let count =
         |index: fn(&MicroImageCenter) -> i32| centers.iter().map(index).max().unwrap_or(-1) + 1;
