@@ -5,7 +5,7 @@ use crate::assessment::{ModelComparison, WithoutGroup};
 use crate::calibration::Calibration;
 
 /// Caption of the table of models.
-pub const MODELS: &str = "Value of each group of parameters: the calibration without it, and the growth of the squared \
+pub const MODELS: &str = "Contribution of each group of parameters: the calibration without it, and the growth of the squared \
      error of held-out frames";
 
 /// Returns the table of models, with its conclusions. `figures` come from `model_figures`, or are empty.
