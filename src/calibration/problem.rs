@@ -281,7 +281,10 @@ impl SolvedProblem {
                 "features",
                 [
                     "u, v of its features.csv".to_owned(),
-                    format!("others, up to {} px off", significant(moved_px, 2)),
+                    format!(
+                        "other positions, with differences of up to {} px",
+                        significant(moved_px, 2)
+                    ),
                 ],
             ));
         }

@@ -62,7 +62,7 @@ Names of files and folders:
   calibration    calib*, board*, check*, chess*
   evaluation     eval*
   translation    translation*, step*
-  The name of a file takes precedence over those of its folders. An f-number follows an f or n that stands
+  The name of a file takes precedence over the names of its folders. An f-number follows an f or n that stands
   alone: f4, f_5.6, n-11.31. Engraved stops are taken as such (5.6 for 5.657).
 
 Examples:

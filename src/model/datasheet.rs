@@ -184,7 +184,7 @@ impl InternalParameters {
         }
         if !self.pupil_growth.is_finite() {
             return Err(Error::invalid(format!(
-                "pupil_growth of the internal parameters is {}",
+                "pupil_growth of the internal parameters is {}, but has to be finite",
                 self.pupil_growth
             )));
         }

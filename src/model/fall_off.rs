@@ -53,11 +53,12 @@ impl FallOff {
             ("within_std_dev_per_px2", self.within_std_dev_per_px2),
         ];
         match values.iter().find(|(_, value)| !value.is_finite()) {
-            Some((name, value)) => {
-                Err(Error::invalid(format!("the {name} of the fall-off of light is {value}")))
-            }
+            Some((name, value)) => Err(Error::invalid(format!(
+                "{name} of the fall-off of light is {value}, but has to be finite"
+            ))),
             None if self.within_per_px2.abs() > MOST_WITHIN => Err(Error::invalid(format!(
-                "within_per_px2 of the fall-off of light is {}: that of cos⁴ is about 0.001",
+                "within_per_px2 of the fall-off of light is {}, but has to be within ±{MOST_WITHIN}: \
+                 for cos⁴ it is about 0.001",
                 self.within_per_px2
             ))),
             None => Ok(()),

@@ -52,7 +52,7 @@ impl TiltGradient {
         let possible = |std_dev: &f64| std_dev.is_finite() && *std_dev > 0.0;
         if let Some(growth) = self.growth_per_px.iter().find(|x| !x.is_finite()) {
             return Err(Error::invalid(format!(
-                "growth_per_px of the tilt gradient of the array is {growth}"
+                "growth_per_px of the tilt gradient of the array is {growth}, but has to be finite"
             )));
         }
         if let Some(std_dev) = self.std_dev_per_px.iter().find(|s| !possible(s)) {

@@ -103,8 +103,8 @@ pub fn check_stated_pitch(
             && (stated / grid.pitch_px - 1.0).abs() > SAME_PITCH
         {
             return Err(Error::invalid(format!(
-                "{whose} a micro-image pitch of {stated:.4} px, but the centres have one of {:.4} \
-                 px: they are of different cameras, or the pixel size is wrong",
+                "{whose} a micro-image pitch of {stated:.4} px, but the centres have a pitch of \
+                 {:.4} px: they are of different cameras, or the pixel size is wrong",
                 grid.pitch_px
             )));
         }

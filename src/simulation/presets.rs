@@ -96,8 +96,8 @@ const LEFT_OUT: &str = "
 # z_mm = -9.0                   # from the main lens, negative towards the array
 # diameter_mm = 4.0
 #
-# white_images.exposure and white_images.gain, else those of imaging.
-# engraved_f_number, else that of the main lens. imaging.jpeg_quality, else PNG.
+# white_images.exposure and white_images.gain; default: as in imaging.
+# engraved_f_number; default: as in the main lens. imaging.jpeg_quality; default: PNG.
 # Every setting is explained in docs/simulation.md.
 ";
 
@@ -126,7 +126,7 @@ fn settings_from(
     let old = table.get("imperfections").and_then(|table| table.get("exit_pupil_mm"));
     if let Some(z) = old {
         return Err(wrong(&format!(
-            "imperfections.exit_pupil_mm is no longer a setting; the exit pupil is part of the camera: \
+            "imperfections.exit_pupil_mm is not a setting: set the exit pupil of the camera, \
              camera.main_lens.exit_pupil_mm = [0, 0, {z}]"
         )));
     }

@@ -77,7 +77,7 @@ ObservationFiles read_observations(const std::string& features, const std::strin
     files.observations.features.push_back(f);
     files.corners.push_back(corner);
   }
-  if (files.corners.empty()) fail(features, "there are no observations in it");
+  if (files.corners.empty()) fail(features, "contains no observations");
   files.frames = number_frames(&files.observations.features);
   if (!centers.empty()) files.observations.centers = read_centers(centers);
   return files;
