@@ -664,42 +664,50 @@ issues! {
 
     /// Residuals are larger than the detection predicts.
     Scatter "scatter" { ratio: f64 } =>
-        format!("the residuals are {ratio:.1} times as large as the detection predicts; possible causes: images that are moved, blurred, sharpened, resized (pixel_size_mm) or at another f-number, or frames of several cameras or focus settings"),
-        NONE;
+        format!("the residuals are {ratio:.1} times as large as the detection predicts"),
+        "check for images that are moved, blurred, sharpened, resized (pixel_size_mm) or at another f-number, and for frames of several cameras or focus settings";
     /// A frame does not fit the others.
     OutlyingFrame "outlying-frame" { frame: u32, residual_ratio: f64, parameter: Option<String>, std_devs: Option<f64>, unexpected: Option<f64> } =>
         outlying_frame_text(*residual_ratio, parameter.as_deref(), *std_devs, *unexpected),
         format!("exclude frame {frame}, or find out what moved");
     /// Features lie far from their projections.
     OutlyingFeatures "outlying-features" { outlying: usize, all: usize } =>
-        format!("{outlying} of {all} features lie far from their projections"), NONE;
+        format!("{outlying} of {all} features lie far from their projections"),
+        "check these features in residuals.csv";
     /// The residuals have a pattern over the image.
     ImagePattern "image-pattern" { part: f64 } =>
         format!("the residuals have a systematic pattern over the image, {:.0} % of their size: the model is incomplete, or the board is not flat", 100.0 * part), NONE;
     /// The residuals grow with the distance from the centre of the micro-image.
     MicroImagePattern "micro-image-pattern" { part: f64 } =>
-        format!("the residuals vary with the distance from the centre of the micro-image, by {:.0} % of their size: the corners are biased, as for boards that are blurred, sharpened or at another f-number than the white images", 100.0 * part), NONE;
+        format!("the residuals vary with the distance from the centre of the micro-image, by {:.0} % of their size: the corners are biased", 100.0 * part),
+        "check for boards that are blurred, sharpened or at another f-number than the white images";
     /// One lens type has larger residuals than another.
     LensTypePattern "lens-type-pattern" { ratio: f64 } =>
         format!("the residuals of one lens type are {ratio:.1} times as large as of another"), NONE;
     /// Few frames.
     FewFrames "few-frames" { frames: usize } =>
-        format!("{frames} frame(s) are too few to estimate the errors that all features of a frame share: σ treats all observations as independent"), NONE;
+        format!("{frames} frame(s) are too few to estimate the errors that all features of a frame share: σ treats all observations as independent"),
+        "take more frames";
     /// Few tilted boards.
     FewTilts "few-tilts" { tilted: usize, frames: usize } =>
-        format!("only {tilted} of {frames} boards are tilted by more than 10 degrees: F and the distances of the boards can hardly be separated"), NONE;
+        format!("only {tilted} of {frames} boards are tilted by more than 10 degrees: F and the distances of the boards can hardly be separated"),
+        "add boards tilted by 20 to 40 degrees";
     /// All boards at nearly the same distance.
     OneDistance "one-distance" { ratio: f64 } =>
-        format!("all boards are at nearly the same distance (the largest is {ratio:.2} times the smallest)"), NONE;
+        format!("all boards are at nearly the same distance (the largest is {ratio:.2} times the smallest)"),
+        "add boards at other distances";
     /// Boards in a part of the image only.
     Coverage "coverage" { part: f64 } =>
-        format!("the boards cover only {:.0} % of the image", 100.0 * part), NONE;
+        format!("the boards cover only {:.0} % of the image", 100.0 * part),
+        "add boards in the rest of the image";
     /// One frame has most of the information on a parameter.
     DominantFrame "dominant-frame" { frame: u32, parameter: String, share: f64 } =>
-        format!("frame {frame} alone carries {:.0} % of the information on {parameter}", 100.0 * share), NONE;
+        format!("frame {frame} alone carries {:.0} % of the information on {parameter}", 100.0 * share),
+        "add frames with similar poses";
     /// A parameter has a large σ.
     Uncertain "uncertain" { parameter: String, relative: f64 } =>
-        format!("σ of {parameter} is {:.1} % of its value", 100.0 * relative), NONE;
+        format!("σ of {parameter} is {:.1} % of its value", 100.0 * relative),
+        "add boards at other distances and tilts";
 
     // Evaluations.
 
