@@ -54,9 +54,9 @@ pub(super) fn check_observations(
     let loss = options.cost().loss;
     if loss.kind != LossKind::None && loss.scale < LEAST_SCALE {
         return Err(Error::invalid(format!(
-            "a loss scale of {} suppresses all observations with noise: it is the residual, in \
-             standard deviations (px for observations without one), beyond which an observation \
-             counts less; 2 to 5 is usual",
+            "a loss scale of {} suppresses all observations with noise: give the residual, in \
+             standard deviations (px without them), beyond which an observation counts less; 2 to \
+             5 is usual",
             loss.scale
         )));
     }

@@ -68,10 +68,9 @@ fn check_in_focus(internal: &InternalParameters, pitch_mm: f64) -> Result<()> {
 
 fn unfocused(how: &str) -> Error {
     Error::invalid(format!(
-        "the camera is {how} to be unfocused (f = d): its micro-images show the pupil, not corners \
-         of a board. plenocal detects corners in micro-images and calibrates only focused cameras; \
-         it measures white images of both kinds. Calibrate this camera with software that detects \
-         corners in sub-aperture images"
+        "the camera is {how} to be unfocused (f = d): its micro-images show no corners of a board, \
+         so only its white images can be measured. Calibrate it with software that detects corners \
+         in sub-aperture images"
     ))
 }
 
