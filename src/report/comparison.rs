@@ -49,7 +49,7 @@ pub fn comparison_section(comparison: &CameraComparison) -> Section {
             differing.join(", ")
         ))
     };
-    let blur = blur_px.map_or(String::new(), |blur| format!(" and blur radii {blur:.3} px"));
+    let blur = blur_px.map_or(String::new(), |blur| format!(" and blur radii by {blur:.3} px"));
     let seen = format!(
         "{verdict}: pixels differ by {rms_px:.3} px RMS{blur} after the camera frames are aligned \
          by ({}, {}, {}) mm and {:.3} mrad; by {:.3} px before.",
