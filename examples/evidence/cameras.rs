@@ -1,10 +1,10 @@
 //! Whole calibrations of simulated cameras with the default model, and what its parameters are worth.
 
+use plenocal::Result;
 use plenocal::assessment::{Group, ModelComparison, ParameterError, Worth, compare_models};
 use plenocal::calibration::CalibrationOptions;
 use plenocal::quantity::fixed;
 use plenocal::simulation::FallOffLaw;
-use plenocal::{Estimate, Result};
 
 use crate::sets::{Extent, F25, Set, seeds, set, step};
 use crate::shoot::{Calibrated, error_of, estimate_of};
@@ -129,26 +129,28 @@ fn far_off(errors: &[ParameterError], is_traced: bool) -> String {
     far.collect::<Vec<_>>().join(", ")
 }
 
+/// Tabulates the growth of the error of left-out frames without each group of parameters, and the change of F.
 fn models(compared: &[(String, ModelComparison)]) -> String {
     let names = compared.iter().map(|(name, _)| name.as_str());
     let mut table = Table::new(&["without"].into_iter().chain(names).collect::<Vec<_>>());
     for group in Group::ALL {
-        let cells = compared.iter().map(|(_, models)| {
-            models.groups.iter().find(|without| without.group == group).map_or(
-                "-".to_owned(),
-                |without| {
-                    let (mean, std_error) = without.mean_growth();
-                    let growth = Estimate::new(100.0 * mean, 100.0 * std_error).to_string();
-                    let growth = match without.worth() {
-                        Worth::EarnsItsKeep => format!("**{growth}**"),
-                        _ => growth,
-                    };
-                    let moved = without.focal_length_change.1.unwrap_or(f64::NAN);
-                    format!("{growth}; {} σ", signed(moved, 1))
-                },
-            )
-        });
-        table.row([group.to_string()].into_iter().chain(cells));
+        let of_set = |(_, models): &(String, ModelComparison)| {
+            let without = models.groups.iter().find(|without| without.group == group)?;
+            let (mean, std_error) = without.mean_growth();
+            let growth = format!("{} ± {}", signed(100.0 * mean, 1), fixed(100.0 * std_error, 1));
+            let growth = match without.worth() {
+                Worth::EarnsItsKeep => format!("**{growth}**"),
+                _ => growth,
+            };
+            let moved = without.focal_length_change.1?;
+            Some(format!("{growth}; {} σ", signed(moved, 1)))
+        };
+        let cells: Vec<Option<String>> = compared.iter().map(of_set).collect();
+        // The shape of a flat board is not free.
+        if cells.iter().any(Option::is_some) {
+            let cells = cells.into_iter().map(|cell| cell.unwrap_or("-".to_owned()));
+            table.row([group.to_string()].into_iter().chain(cells));
+        }
     }
     table.text()
 }

@@ -27,7 +27,12 @@ const SETS: [Set; 11] = [
     ),
     set("`keplerian`", "keplerian", &[]),
     set("`r12-a`", "r12-a", &[]),
-    set("`r12-a`, noise of 4 grey levels", "r12-a", &["imaging.read_noise_electrons=204"]),
+    // With a gain of 4, white images would have a noise of 16 grey levels, and show no edge.
+    set(
+        "`r12-a`, noise of 4 grey levels, white images not clipped",
+        "r12-a",
+        &["imaging.read_noise_electrons=204", "white_images.gain=1"],
+    ),
 ];
 const SEED: u64 = 7301;
 

@@ -46,7 +46,7 @@ impl Set {
 
 /// Settings of a trial: enough boards for all parts.
 const QUICK: [&str; 4] =
-    ["rays=16", "boards.calibration=6", "boards.evaluation=2", "translation.images=2"];
+    ["rays=32", "boards.calibration=6", "boards.evaluation=2", "translation.images=2"];
 
 impl Extent {
     /// Returns the settings of sets, each with its own seed, counted from the first one. A trial has the first and the last
