@@ -40,7 +40,7 @@ impl Conditions {
             seconds @ ..120 => format!("{seconds} s"),
             seconds => format!("{} min", seconds.div_ceil(60)),
         };
-        format!("*`make evidence PART={part}`, {date}, {took}: {version}, {machine}*")
+        format!("*By `make evidence PART={part}`, {date}, {took}: {version}, {machine}.*")
     }
 }
 

@@ -8,6 +8,7 @@
 //! Without a PART, all parts run, for hours. `results` stands for all parts of that page. `--quick` takes few rows, rays
 //! and boards and prints the blocks, to try a part; it writes nothing.
 
+use std::fmt::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -120,8 +121,13 @@ impl Part {
         let names = self.blocks();
         assert_eq!(texts.len(), names.len(), "a part makes all of its blocks");
         let made = conditions.text(self.name, begun.elapsed());
-        for (name, text) in names.iter().zip(texts) {
-            let text = format!("{}\n\n{made}\n", text.trim_end());
+        let last = names.len() - 1;
+        for (i, (name, text)) in names.iter().zip(texts).enumerate() {
+            let mut text = format!("{}\n", text.trim_end());
+            // The blocks of a part follow each other on the page.
+            if i == last {
+                let _ = writeln!(text, "\n{made}");
+            }
             if extent.quick {
                 println!("{name}:\n\n{text}");
             } else {

@@ -189,8 +189,8 @@ fn displacements(evaluation: &Evaluation, step_mm: f64) -> String {
         let Some(found) = &result.translation else { continue };
         let relative = found.relative();
         let spread = |mean: f64, std_dev: Option<f64>, decimals: usize| {
-            let std_dev = std_dev.map_or("-".to_owned(), |s| fixed(s, decimals));
-            format!("{} ± {std_dev}", fixed(mean, decimals))
+            let std_dev = std_dev.map(|s| format!(" ± {}", fixed(s, decimals)));
+            fixed(mean, decimals) + &std_dev.unwrap_or_default()
         };
         let percents = spread(100.0 * relative.mean, relative.std_dev.map(|s| 100.0 * s), 3);
         table.row([
