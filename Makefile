@@ -27,7 +27,7 @@ help:
 	@echo "make fuzz       a million damaged files, solves, cameras in use and runs (half an hour); FUZZ=\"--cases N\" or a target"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program, and how it grows (a quarter of an hour)"
-	@echo "make evidence   the tables of measured figures in docs (two hours); PART=\"results accuracy/corners\" makes some"
+	@echo "make evidence   the tables of measured figures in docs (three hours); PART=\"results accuracy/corners\" makes some"
 	@echo "make sanitizers the C++ tests with address, undefined-behaviour and thread sanitizers, and shared"
 	@echo "make doc        API documentation in target/doc"
 	@echo "make doc-cpp    that of the C++ library in build/doc-cpp"
