@@ -13,7 +13,7 @@ MAKEFLAGS += --no-print-directory
 export PLENOCAL_EXAMPLES = $(CURDIR)/$(BUILD)/examples
 
 .PHONY: help deps deps-all build demo cpp test test-all test-slow test-mistakes test-misuse test-faults test-large fuzz \
-        test-cpp test-rust lint bench sanitizers doc doc-cpp site data figures format clean
+        test-cpp test-rust lint bench evidence sanitizers doc doc-cpp site data figures format clean
 
 help:
 	@echo "make demo       simulate a camera, calibrate it from its images, write a report"
@@ -27,6 +27,7 @@ help:
 	@echo "make fuzz       a million damaged files, solves, cameras in use and runs (half an hour); FUZZ=\"--cases N\" or a target"
 	@echo "make lint       formatting, clippy, C++ warnings, documentation"
 	@echo "make bench      speed, against a plain Ceres program, and how it grows (a quarter of an hour)"
+	@echo "make evidence   the tables of measured figures in docs (three hours); PART=\"results accuracy/corners\" makes some"
 	@echo "make sanitizers the C++ tests with address, undefined-behaviour and thread sanitizers, and shared"
 	@echo "make doc        API documentation in target/doc"
 	@echo "make doc-cpp    that of the C++ library in build/doc-cpp"
@@ -112,6 +113,11 @@ lint: deps
 
 bench: cpp
 	cargo bench
+
+# PART="results accuracy/corners", all parts of a page and one part of another; PART=--list lists them; PART="--quick results"
+# tries parts on small sets, and prints their tables.
+evidence: build cpp
+	cargo run --release --example evidence -- $(PART)
 
 # Every C++ test with AddressSanitizer and UndefinedBehaviorSanitizer, and those of threads with
 # ThreadSanitizer, by both compilers. PRESETS="asan-gcc" runs some.

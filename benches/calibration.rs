@@ -3,14 +3,14 @@
 //! Uses the R12-A observations in the folder `PLENOCAL_R12A`, or else the shipped feature set, and
 //! the program `plain_ceres` in the folder `PLENOCAL_EXAMPLES` (`cpp/examples`) as the baseline: one residual
 //! block per observation, the same tolerance, otherwise Ceres' defaults. The programs alternate, so
-//! that a slow moment of the machine affects both. Medians are printed; their ratio is what counts.
+//! that a slow moment of the machine affects both. The table is that of docs/performance.md; ratios are what counts.
 
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-use plenocal::calibration::{CalibrationOptions, SolvedProblem, Start, calibrate};
+use plenocal::calibration::{Calibration, CalibrationOptions, SolvedProblem, Start, calibrate};
 use plenocal::io::{
     CameraSource, OutputFolder, Project, read_board, read_camera_source, read_centers,
     read_features, read_internal_parameters, stage_problem,
@@ -92,68 +92,89 @@ fn seconds<T>(work: impl FnOnce() -> T) -> f64 {
     start.elapsed().as_secs_f64()
 }
 
-fn compare(program: &Path, data: &Data, observations: &Observations, threads: usize) {
+/// Median times with a number of threads, s, with numbers of iterations, and costs at the end.
+struct Times {
+    plain: (f64, u64, f64),
+    refinement: (f64, usize, f64),
+    without_extrapolation: (f64, usize),
+    whole: f64,
+    default_refinement: f64,
+    default_whole: f64,
+}
+
+fn compare(program: &Path, data: &Data, observations: &Observations, threads: usize) -> Times {
     let options = CalibrationOptions { threads, ..CalibrationOptions::paper() };
     let defaults = CalibrationOptions { threads, ..CalibrationOptions::default() };
-    let mut without = options.clone();
-    without.extrapolate = false;
-    let (mut plain, mut solve, mut whole) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut ceres, mut ceres_iterations) = (Vec::new(), 0);
-    let (mut prior_solve, mut prior_whole) = (Vec::new(), Vec::new());
-    let (mut plain_end, mut end) = ((0, 0.0), (0, 0.0));
+    let without = CalibrationOptions { extrapolate: false, ..options.clone() };
     let folder = tempfile::tempdir().expect("there is room for the problem");
     let problem = folder.path().join("problem");
-    let solved = calibrate(&data.start, &data.board, observations, &options, &mut |_| true)
-        .expect("the data can be calibrated");
+    let run = |options: &CalibrationOptions| {
+        let start = Instant::now();
+        let result = calibrate(&data.start, &data.board, observations, options, &mut |_| true)
+            .expect("the data can be calibrated");
+        (start.elapsed().as_secs_f64(), result)
+    };
+    let (_, solved) = run(&options);
     let mut output = OutputFolder::new(&problem).expect("there is room for the problem");
     stage_problem(&mut output, &SolvedProblem::of(&solved, &data.board)).expect("there is room");
     output.commit().expect("there is room");
+    let (mut plain, mut solve, mut whole, mut alone) = (vec![], vec![], vec![], vec![]);
+    let (mut prior_solve, mut prior_whole) = (vec![], vec![]);
+    let (mut plain_end, mut alone_iterations) = ((0, 0.0), 0);
+    let iterations = |result: &Calibration| result.refinement.iterations.len() - 1;
     for _ in 0..RUNS {
-        let (time, iterations, cost) = baseline(program, &problem, threads);
+        let (time, iterations_of_plain, cost) = baseline(program, &problem, threads);
         plain.push(time);
-        plain_end = (iterations, cost);
-        let alone = calibrate(&data.start, &data.board, observations, &without, &mut |_| true)
-            .expect("the data can be calibrated");
-        ceres.push(alone.refinement.time_s);
-        ceres_iterations = alone.refinement.iterations.len() - 1;
-        let start = Instant::now();
-        let calibration =
-            calibrate(&data.start, &data.board, observations, &options, &mut |_| true)
-                .expect("the data can be calibrated");
-        whole.push(start.elapsed().as_secs_f64());
-        assert!(calibration.converged);
-        let refinement = &calibration.refinement;
-        solve.push(refinement.time_s);
-        end = (refinement.iterations.len() - 1, refinement.cost);
-        let start = Instant::now();
-        let calibration =
-            calibrate(&data.start, &data.board, observations, &defaults, &mut |_| true)
-                .expect("the data can be calibrated");
-        prior_whole.push(start.elapsed().as_secs_f64());
-        prior_solve.push(calibration.refinement.time_s);
+        plain_end = (iterations_of_plain, cost);
+        let (_, result) = run(&without);
+        alone.push(result.refinement.time_s);
+        alone_iterations = iterations(&result);
+        let (time, result) = run(&options);
+        assert!(result.converged);
+        whole.push(time);
+        solve.push(result.refinement.time_s);
+        let (time, result) = run(&defaults);
+        prior_whole.push(time);
+        prior_solve.push(result.refinement.time_s);
     }
-    let (plain, solve, whole) = (median(plain), median(solve), median(whole));
-    println!("{threads} thread(s), cold start to convergence, median of {RUNS} runs:");
-    println!(
-        "  plain Ceres program        {plain:7.3} s  {:3} iterations  cost {:.6}",
-        plain_end.0, plain_end.1
-    );
-    println!(
-        "  plenocal, refinement       {solve:7.3} s  {:3} iterations  cost {:.6}",
-        end.0, end.1
-    );
-    println!(
-        "  without extrapolation      {:7.3} s  {ceres_iterations:3} iterations",
-        median(ceres)
-    );
-    println!(
-        "  plenocal, whole stage      {whole:7.3} s  (grid, initial values, refinement, uncertainty)"
-    );
-    println!("  with priors, refinement   {:7.3} s", median(prior_solve.clone()));
-    println!("  with priors, whole stage  {:7.3} s", median(prior_whole));
-    println!("  priors to none             {:7.3}", median(prior_solve) / solve);
-    println!("  ratio of the refinements   {:7.3}", solve / plain);
-    println!("  ratio of the whole stage   {:7.3}", whole / plain);
+    Times {
+        plain: (median(plain), plain_end.0, plain_end.1),
+        refinement: (median(solve), iterations(&solved), solved.refinement.cost),
+        without_extrapolation: (median(alone), alone_iterations),
+        whole: median(whole),
+        default_refinement: median(prior_solve),
+        default_whole: median(prior_whole),
+    }
+}
+
+/// Prints a row of the table, with a column for each number of threads.
+fn row(name: &str, all: &[Times], cell: impl Fn(&Times) -> String) {
+    let cells: Vec<String> = all.iter().map(cell).collect();
+    println!("| {name} | {} |", cells.join(" | "));
+}
+
+fn print_table(all: &[Times]) {
+    println!("\n| cold start to convergence, median of {RUNS} runs | 1 thread | 2 threads |");
+    println!("|---|---|---|");
+    let seconds = |time: f64| format!("{time:.3} s");
+    row("plain Ceres program", all, |t| format!("{:.3} s, {} iterations", t.plain.0, t.plain.1));
+    row("plenocal, refinement", all, |t| {
+        format!("{:.3} s, {} iterations", t.refinement.0, t.refinement.1)
+    });
+    row("without extrapolation", all, |t| {
+        let (time, iterations) = t.without_extrapolation;
+        format!("{time:.3} s, {iterations} iterations")
+    });
+    row("cost by Ceres; by plenocal", all, |t| format!("{:.6}; {:.6}", t.plain.2, t.refinement.2));
+    row("with grid, initial values and uncertainty", all, |t| seconds(t.whole));
+    row("ratio of the refinements", all, |t| format!("{:.3}", t.refinement.0 / t.plain.0));
+    row("ratio with grid, initial values and uncertainty", all, |t| {
+        format!("{:.3}", t.whole / t.plain.0)
+    });
+    row("refinement with priors and board shape (the default)", all, |t| {
+        seconds(t.default_refinement)
+    });
+    row("the default with grid, initial values and uncertainty", all, |t| seconds(t.default_whole));
 }
 
 fn main() -> plenocal::Result<()> {
@@ -163,26 +184,23 @@ fn main() -> plenocal::Result<()> {
     };
     let observations = read(&data)?;
     println!(
-        "Calibration of {}: {} features, {} centres",
+        "Calibration of {}: {} features, {} centres.",
         data.name,
         observations.features.len(),
         observations.centers.len()
     );
     let reading = median((0..RUNS).map(|_| seconds(|| read(&data))).collect());
-    println!("  reading the CSV files      {reading:7.3} s");
+    println!("Reading the CSV files takes {reading:.3} s.");
     if let Start::Datasheet(sheet, _) = &data.start {
         let (columns, rows) = sheet.array_size_by(&observations.centers);
         let fit = || fit_grid(&observations.centers, sheet.lattice_kind, columns, rows);
-        println!(
-            "  fitting the grid           {:7.3} s",
-            median((0..RUNS).map(|_| seconds(fit)).collect())
-        );
+        let fitting = median((0..RUNS).map(|_| seconds(fit)).collect());
+        println!("Fitting the grid takes {fitting:.3} s.");
     }
     match std::env::var_os("PLENOCAL_EXAMPLES") {
         Some(folder) => {
-            for threads in [1, 2] {
-                compare(&Path::new(&folder).join("plain_ceres"), &data, &observations, threads);
-            }
+            let program = Path::new(&folder).join("plain_ceres");
+            print_table(&[1, 2].map(|threads| compare(&program, &data, &observations, threads)));
         }
         None => println!("Set PLENOCAL_EXAMPLES (or run `make bench`) for the comparison."),
     }

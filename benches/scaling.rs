@@ -1,7 +1,7 @@
 //! How the time grows with the work: image size, frames, features and threads.
 //!
-//! Each table ends with the exponent: the slope of the logarithm of the time over that of the work. Runs are single ones;
-//! what counts is how they grow.
+//! The tables are those of docs/performance.md. Each ends with the exponent: the slope of the logarithm of the time over that
+//! of the work. Runs are single ones; what counts is how they grow.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -40,12 +40,17 @@ fn exponent(points: &[(f64, f64)]) -> f64 {
     up / along
 }
 
-fn print_exponents(names: &[&str], rows: &[Vec<f64>]) {
+/// Prints the last row of a table: the exponents of the columns, after so many columns without one.
+fn print_exponents(rows: &[Vec<f64>], without: usize) {
     let of =
         |column: usize| exponent(&rows.iter().map(|row| (row[0], row[column])).collect::<Vec<_>>());
-    let all: Vec<String> =
-        (1..).zip(names).map(|(column, name)| format!("{name} {:.2}", of(column))).collect();
-    println!("    exponents: {}", all.join(", "));
+    let all: Vec<String> = (1..rows[0].len()).map(|column| format!("{:.2}", of(column))).collect();
+    println!("| exponent |{} {} |\n", " |".repeat(without), all.join(" | "));
+}
+
+/// Prints the headings of a table.
+fn print_headings(columns: &[&str]) {
+    println!("| {} |\n{}|", columns.join(" | "), "|---".repeat(columns.len()));
 }
 
 /// The preset r12-a with a sensor, an array and a board that are larger in both directions by a part.
@@ -99,8 +104,7 @@ fn image_size(part: f64) -> plenocal::Result<Vec<f64>> {
     }
     let megapixels = f64::from(sheet.sensor.width_px) * f64::from(sheet.sensor.height_px) / 1e6;
     println!(
-        "    {megapixels:5.1} MP  {features:6} features  simulation {simulation_s:6.2} s, white images \
-         {whites_s:6.2} s, detection {detection_s:6.3} s"
+        "| {megapixels:.1} | {features} | {simulation_s:.2} | {whites_s:.2} | {detection_s:.3} |"
     );
     Ok(vec![megapixels, simulation_s, whites_s, detection_s])
 }
@@ -132,47 +136,52 @@ fn calibrated(
     Ok((time, result?))
 }
 
-/// The time of the refinement and of the whole stage with one thread and with two.
-fn row(work: f64, settings: &Settings, observations: &Observations) -> plenocal::Result<Vec<f64>> {
+/// Measures the time of the refinement and of the whole stage with one thread and with two, and prints them after some cells.
+fn row(
+    cells: &str,
+    work: f64,
+    settings: &Settings,
+    observations: &Observations,
+) -> plenocal::Result<Vec<f64>> {
     let mut row = vec![work];
     for threads in [1, 2] {
         let (whole, result) = calibrated(settings, observations, threads)?;
         row.extend([result.refinement.time_s, whole]);
     }
-    println!(
-        "    {work:8}  {:8} features  one thread {:7.3} s, {:7.2} s; two {:7.3} s, {:7.2} s",
-        observations.features.len(),
-        row[1],
-        row[2],
-        row[3],
-        row[4]
-    );
+    let [_, one, whole_of_one, two, whole_of_two] = row[..] else { unreachable!("two by two") };
+    println!("| {cells} | {one:.3} | {whole_of_one:.2} | {two:.3} | {whole_of_two:.2} |");
     Ok(row)
 }
 
-const COLUMNS: [&str; 4] =
-    ["one thread: refinement", "whole stage", "two threads: refinement", "whole stage"];
+/// Columns of times, in s.
+const TIMES: [&str; 4] =
+    ["one thread: refinement, s", "whole stage, s", "two threads: refinement, s", "whole stage, s"];
 
 fn main() -> plenocal::Result<()> {
     println!(
-        "Image size, {} threads, for each frame; all white images:",
+        "An R12 with a larger sensor, array and board; simulation and detection of a board, and pre-calibration of five \
+         white images, with {} threads:\n",
         rayon::current_num_threads()
     );
+    print_headings(&["MP", "features", "simulation, s", "pre-calibration, s", "detection, s"]);
     let rows = [0.5, 1.0, std::f64::consts::SQRT_2, 2.0]
         .into_iter()
         .map(image_size)
         .collect::<plenocal::Result<Vec<_>>>()?;
-    print_exponents(&["simulation", "white images", "detection"], &rows);
+    print_exponents(&rows, 1);
 
-    println!("Frames of an R12, calibration (refinement; whole stage):");
+    println!("Frames of an R12, default calibration:\n");
+    print_headings(&[&["frames", "features"][..], &TIMES].concat());
     let mut rows = Vec::new();
     for frames in [5, 10, 20, 50, 100] {
         let (settings, observations) = observed(&[], frames)?;
-        rows.push(row(frames as f64, &settings, &observations)?);
+        let cells = format!("{frames} | {}", observations.features.len());
+        rows.push(row(&cells, frames as f64, &settings, &observations)?);
     }
-    print_exponents(&COLUMNS, &rows);
+    print_exponents(&rows, 1);
 
-    println!("Features of {FRAMES_OF_FEATURES} frames, calibration (refinement; whole stage):");
+    println!("{FRAMES_OF_FEATURES} frames with more features each:\n");
+    print_headings(&[&["features"][..], &TIMES].concat());
     let fine = ["target.columns=39", "target.rows=23", "target.square_mm=2.5"];
     let (settings, all) = observed(&fine, FRAMES_OF_FEATURES)?;
     let mut rows = Vec::new();
@@ -180,8 +189,9 @@ fn main() -> plenocal::Result<()> {
         let step = (all.features.len() / count).max(1);
         let features: Vec<BapFeature> = all.features.iter().step_by(step).copied().collect();
         let some = Observations { features, centers: all.centers.clone() };
-        rows.push(row(some.features.len() as f64, &settings, &some)?);
+        let features = some.features.len();
+        rows.push(row(&features.to_string(), features as f64, &settings, &some)?);
     }
-    print_exponents(&COLUMNS, &rows);
+    print_exponents(&rows, 0);
     Ok(())
 }

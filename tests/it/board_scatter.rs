@@ -70,8 +70,8 @@ impl Kind {
         }
     }
 
-    /// Draws boards, prints how they came out, and returns scatter over σ of the shape and of F, D and d with the shape as it
-    /// was found, and how often a bend and an aspect were found.
+    /// Draws boards, and returns scatter over σ of the shape and of F, D and d with the shape as it was found, and how often a
+    /// bend and an aspect were found. Prints the row of the table that `make evidence` takes.
     fn draw(&self) -> ([f64; 4], [f64; 3], [f64; 2]) {
         let all: Vec<Outcome> =
             (0..self.draws).into_par_iter().map(|seed| self.outcome(seed)).collect();
@@ -79,30 +79,17 @@ impl Kind {
         let rms = |of: &dyn Fn(&Outcome) -> f64| {
             (all.iter().map(|o| of(o).powi(2)).sum::<f64>() / count).sqrt()
         };
-        println!("{}:", self.name);
         let ratios = std::array::from_fn(|i| rms(&|o| o.tried[i].0 / o.tried[i].1));
-        for (i, parameter) in Parameter::SHAPE.iter().enumerate() {
-            let worst = all.iter().map(|o| (o.tried[i].0 / o.tried[i].1).abs());
-            println!(
-                "  {:6} error/σ {:.2}, worst {:.1} σ, RMS {:.2e}",
-                parameter.name(),
-                ratios[i],
-                worst.fold(0.0, f64::max),
-                rms(&|o| o.tried[i].0)
-            );
-        }
-        let mut lengths = [0.0; 3];
-        for (i, name) in ["F", "D", "d"].into_iter().enumerate() {
-            let [found, known] =
-                [0, 1].map(|m| (rms(&|o| o.lengths[m][i].0), 100.0 * rms(&|o| o.lengths[m][i].1)));
-            lengths[i] = found.0;
-            println!(
-                "  {name} error/σ {:.2}, {:.2} %; with the true shape {:.2}, {:.2} %",
-                found.0, found.1, known.0, known.1
-            );
-        }
+        let lengths = std::array::from_fn(|i| rms(&|o| o.lengths[0][i].0));
         let found = [0, 3].map(|i| all.iter().filter(|o| o.found[i]).count() as f64 / count);
-        println!("  bend found in {:.1} %, aspect in {:.1} %", 100.0 * found[0], 100.0 * found[1]);
+        let [sag_x, sag_y, twist, aspect] = ratios;
+        let [bends, aspects] = found.map(|part| 100.0 * part);
+        let [with_found, with_true] = [0, 1].map(|m| 100.0 * rms(&|o| o.lengths[m][2].1));
+        println!(
+            "| {} ({} draws) | {sag_x:.2} | {sag_y:.2} | {twist:.2} | {aspect:.2} | {bends:.0} %, {aspects:.0} % \
+             | {with_found:.2}, {with_true:.2} |",
+            self.name, self.draws
+        );
         (ratios, lengths, found)
     }
 }
@@ -117,12 +104,20 @@ fn monte_carlo_of_boards() {
     let slight = BoardShape { sag_x_mm: 0.05, ..flat };
     for (kind, expected) in [
         (of("flat", 200, flat), [0.0, 0.0]),
-        (of("sag of 0.05 mm", 40, slight), [1.0, 0.0]),
-        (of("bent and stretched", 40, bent), [1.0, 1.0]),
-        (of("aspect of 0.001", 40, BoardShape { aspect: 1e-3, ..flat }), [0.0, 1.0]),
-        (Kind { shared_px: 0.2, draws: 100, name: "flat, shared errors", ..plain }, [0.0, 0.0]),
-        (Kind { alike: true, draws: 40, name: "flat, all alike", ..plain }, [0.0, 0.0]),
-        (Kind { alike: true, ..of("bent, all alike", 40, bent) }, [1.0, 1.0]),
+        (of("sag_x 0.05 mm", 40, slight), [1.0, 0.0]),
+        (of("sags 0.2, −0.1 mm, twist 0.05 mm, aspect 0.001", 40, bent), [1.0, 1.0]),
+        (of("aspect 0.001", 40, BoardShape { aspect: 1e-3, ..flat }), [0.0, 1.0]),
+        (
+            Kind {
+                shared_px: 0.2,
+                draws: 100,
+                name: "flat, an error of 0.2 px in each frame",
+                ..plain
+            },
+            [0.0, 0.0],
+        ),
+        (Kind { alike: true, draws: 40, name: "flat, all frames alike", ..plain }, [0.0, 0.0]),
+        (Kind { alike: true, ..of("bent as above, all frames alike", 40, bent) }, [1.0, 1.0]),
     ] {
         let (ratios, lengths, found) = kind.draw();
         // σ is neither too small nor too large.

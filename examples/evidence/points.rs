@@ -1,52 +1,66 @@
-//! Corners of simulated boards as points in space, against where they are: how far off, and what their covariance says.
-//!
-//!     cargo run --release --example points_against_truth -- DATA-SET SUBSET camera.json features.csv
-//!
-//! SUBSET is `calibration` or `evaluation`. The points are those of `plenocal points camera.json features.csv`. The frame of a
-//! calibrated camera is where its lens is taken to be, so the motion to the true one is fitted; the last line is without it.
-
-use std::path::Path;
+//! Corners of simulated boards as points in space, against their truth: errors, and what their covariance predicts.
 
 use nalgebra::{
     Isometry3, Matrix3, Matrix6, Point3, Translation3, UnitQuaternion, Vector3, Vector6,
 };
-use plenocal::io::{Project, read_camera, read_features, read_poses};
-use plenocal::{Error, Result, solver};
+use plenocal::calibration::CalibrationOptions;
+use plenocal::model::Subset;
+use plenocal::quantity::fixed;
+use plenocal::{Result, solver};
 
-/// A corner: where it is found, with its covariance, and where it is.
+use crate::sets::{Extent, Set, seeds, set, step};
+use crate::shoot::Calibrated;
+use crate::text::Table;
+
+const SETS: [Set; 5] = [
+    set("`mini`", "mini", &[]),
+    set("`mini`, noise of 4 grey levels", "mini", &["imaging.read_noise_electrons=204"]),
+    set("`keplerian`", "keplerian", &[]),
+    set("`mini-double-gauss`", "mini-double-gauss", &[]),
+    set("`r12-a`", "r12-a", &[]),
+];
+const SEED: u64 = 7701;
+
+/// Corner: its measured position with the covariance, and the true position.
 struct Corner {
     found: Point3<f64>,
     covariance: Matrix3<f64>,
     truth: Point3<f64>,
 }
 
-fn main() -> Result<()> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [set, subset, camera, features] = &arguments[..] else {
-        return Err(Error::invalid(
-            "usage: points_against_truth DATA-SET SUBSET camera.json features.csv",
-        ));
-    };
-    let corners = corners(Path::new(set), subset, Path::new(camera), Path::new(features))?;
-    let motion = fitted_motion(&corners);
-    println!("{} corners", corners.len());
-    report("after the motion between the camera frames", &corners, &motion, 6);
-    report("as they are", &corners, &Isometry3::identity(), 0);
-    Ok(())
+/// Compares errors with their predictions.
+pub fn errors(extent: &Extent) -> Result<Vec<String>> {
+    let mut table = Table::new(&[
+        "set",
+        "corners",
+        "across (predicted), mm",
+        "along (predicted), mm",
+        "χ² per degree of freedom",
+    ]);
+    for (set, settings) in extent.settings(&SETS, SEED)? {
+        step(set.name);
+        let camera = Calibrated::of(settings, &CalibrationOptions::default())?;
+        let corners = corners(&camera)?;
+        // The frame of a calibrated camera is where its lens is taken to be.
+        let cells = compared(&corners, &fitted_motion(&corners));
+        table.row([set.name.to_owned(), corners.len().to_string()].into_iter().chain(cells));
+    }
+    Ok(vec![table.with(&seeds(&SETS, SEED))])
 }
 
-fn corners(set: &Path, subset: &str, camera: &Path, features: &Path) -> Result<Vec<Corner>> {
-    let board = Project::read(&set.join("project.toml"))?.board.expect("a data set has a board");
-    let poses = read_poses(&set.join("truth").join(subset).join("poses.json"))?;
-    let found = solver::corners(&read_camera(camera)?, &read_features(features, false)?.features)?;
-    println!("features scatter by {:.2} times their sigma", found.scatter.sqrt());
+/// Triangulates the corners of the boards that were not used in the calibration.
+fn corners(camera: &Calibrated) -> Result<Vec<Corner>> {
+    let Calibrated { shoot, boards, calibration, .. } = camera;
+    let features = shoot.other_boards(Subset::Evaluation, boards)?;
+    let poses = shoot.true_poses(Subset::Evaluation);
+    let found = solver::corners(&calibration.camera, &features)?;
     let corner = |((frame, number), point): ((u32, i32), Option<_>)| {
         let solver::MetricPoint { point_mm, covariance_mm2, .. } = point?;
         let pose = poses.iter().find(|pose| pose.frame == frame)?;
         Some(Corner {
             found: point_mm.into(),
             covariance: Matrix3::from_row_slice(&covariance_mm2),
-            truth: pose.camera_from_board * board.point_mm(number),
+            truth: pose.camera_from_board * shoot.board.point_mm(number),
         })
     };
     Ok(found.labels.into_iter().zip(found.points).filter_map(corner).collect())
@@ -78,8 +92,12 @@ fn fitted_motion(corners: &[Corner]) -> Isometry3<f64> {
     motion
 }
 
-/// Errors across and along the ray from the lens, as they are and as predicted, and χ² over its degrees of freedom.
-fn report(how: &str, corners: &[Corner], motion: &Isometry3<f64>, fitted: usize) {
+/// Number of parameters of a motion.
+const MOTION: f64 = 6.0;
+
+/// Formats the errors across (per axis) and along the ray from the lens with their predictions, and χ² over its degrees of
+/// freedom.
+fn compared(corners: &[Corner], motion: &Isometry3<f64>) -> [String; 3] {
     let (mut off_square, mut predicted, mut chi_square) = ([0.0; 2], [0.0; 2], 0.0);
     for corner in corners {
         let turned = motion.rotation.to_rotation_matrix();
@@ -95,11 +113,7 @@ fn report(how: &str, corners: &[Corner], motion: &Isometry3<f64>, fitted: usize)
         chi_square += off.dot(&(covariance.try_inverse().expect("positive") * off));
     }
     let count = corners.len() as f64;
-    let [across, along] = off_square.map(|square| (square / count).sqrt());
-    let [sigma_across, sigma_along] = predicted.map(|square| (square / count).sqrt());
-    println!(
-        "{how}: RMS {across:.4} mm across (per axis; predicted {sigma_across:.4}), {along:.4} mm along (predicted \
-         {sigma_along:.4}), chi-square {:.2} for each degree of freedom",
-        chi_square / (3.0 * count - fitted as f64)
-    );
+    let mm = |square: f64| fixed((square / count).sqrt(), 4);
+    let [across, along] = [0, 1].map(|i| format!("{} ({})", mm(off_square[i]), mm(predicted[i])));
+    [across, along, fixed(chi_square / (3.0 * count - MOTION), 2)]
 }
