@@ -86,9 +86,10 @@ const HELD: usize = OF_HELD.len();
 
 /// Largest number of evaluations of the light. Corners start within a pixel, and one step leaves a few hundredths.
 const EVALUATIONS: usize = 5;
-/// Length of a step, px, below which it is the last one: it leaves a few thousandths of a pixel at most, and has the size of
-/// the noise.
+/// Length of a step below which it is the last one, px and as a part of the blur radius: it leaves a few thousandths of a pixel
+/// at most, and has the size of the noise. (Last steps of 0.2 px move d by half a σ where blur radii are 1 px.)
 const LAST_STEP_PX: f64 = 0.1;
+const LAST_STEP_OF_BLUR: f64 = 0.05;
 /// Longest step, px. Beyond it, the linear model no longer describes the light.
 const LONGEST_STEP_PX: f64 = 1.0;
 /// Distance beyond all light of a micro-image, px.
@@ -123,21 +124,23 @@ impl Held<'_> {
         imbalance(steps.each_ref().map(Vec::as_slice), patch)
     }
 
-    /// Fits the position and levels of a corner; `None` if the fit fails. `far` is true if it is expected to move by more than
-    /// a step.
+    /// Fits the position and levels of a corner; `None` if the fit fails. If it is `rough`, the corner may start far away, and
+    /// positions to a few hundredths of a pixel suffice.
     pub fn fit(
         &self,
         start: &Corner,
-        far: bool,
+        rough: bool,
         patch: &Patch,
         room: &mut FitRoom,
     ) -> Option<FittedCorner> {
-        let bundle = self.bundle();
+        let bundle = if rough { self.bundle().coarse() } else { self.bundle() };
         let mut corner = *start;
+        let blur_px = self.optics.blur_radius_px(self.slope).abs();
+        let last_step_px = LAST_STEP_PX.max(LAST_STEP_OF_BLUR * blur_px);
         for evaluation in 1..=EVALUATIONS {
             let edges = CornerEdges { place: corner.place, angles: corner.angles };
             // An intermediate step needs no other derivatives.
-            let on_the_way = far && evaluation == 1;
+            let on_the_way = rough && evaluation == 1;
             if on_the_way {
                 bundle.corner_shape(&edges, &patch.x, &patch.y, &mut room.light);
             } else {
@@ -147,7 +150,7 @@ impl Held<'_> {
             corner.level += step.levels.x;
             corner.contrast += step.levels.y;
             let length = step.place.norm();
-            if !on_the_way && (length < LAST_STEP_PX || evaluation == EVALUATIONS) {
+            if !on_the_way && (length < last_step_px || evaluation == EVALUATIONS) {
                 corner.place += step.place;
                 return self.fitted(corner, &step, patch, room);
             }

@@ -19,17 +19,16 @@ use super::line::{CornerLine, FittedLine, possible_slope};
 use super::patch::{self, Patch};
 use super::slope_field::SlopeField;
 use super::{Aberration, CornerObservation, MicroImages, MicroOptics};
-#[cfg(doc)]
-use crate::model::BapFeature;
 use crate::model::taken::APERTURE_RATIO;
 use crate::numerics::median;
+#[cfg(doc)]
+use {super::Detection, crate::model::BapFeature};
 
 /// Numbers of rounds in which every corner is searched for. A round uses the lines, the aberrations and the width of edges of
 /// the previous one. There are at least two, and more while the aperture ratio changes.
 const ROUNDS: std::ops::RangeInclusive<usize> = 2..=4;
-/// Change of the aperture ratio below which it has settled, relative and in σ.
-const SETTLED: f64 = 0.005;
-const SETTLED_STD_DEVS: f64 = 0.5;
+/// Change of ln φ up to which [`Detection::settle`] can make it, to first order: it leaves a few ten-thousandths.
+const SETTLED: f64 = 0.025;
 /// Range of aperture ratios from the edges of one frame: noise may exceed possible values a little.
 const RATIOS: std::ops::RangeInclusive<f64> = 0.2..=1.15;
 /// Largest excess edge variance, px²; boards with wider edges are not sharp enough to be found.
@@ -158,9 +157,8 @@ pub(super) fn second_pass<'a>(
             observations.map(|found| found.width.of_log_ratio(found.radius_by_ratio_px)).collect();
         width = WidthChange::fit(&widths, wider_px2);
         let change = width.filter(|_| free).and_then(|width| width.log_ratio());
-        let moves =
-            change.is_some_and(|(by, std_dev)| by.abs() > SETTLED.max(SETTLED_STD_DEVS * std_dev));
-        if round == *ROUNDS.end() || (round >= *ROUNDS.start() && !moves) {
+        let change = change.filter(|(by, _)| by.abs() > SETTLED);
+        if round == *ROUNDS.end() || (round >= *ROUNDS.start() && change.is_none()) {
             break;
         }
         if let Some((by, _)) = change {

@@ -124,9 +124,9 @@ const MOST_LANES: usize = 16;
 /// Distance from the blur of a pixel, in standard deviations, beyond which an edge has no effect on it.
 const FAR: f32 = 3.0;
 /// Distance inside the rim of the pupil, in standard deviations, from which the rim has no effect.
-const WHOLE: f32 = 4.0;
+const WHOLE: f32 = 3.0;
 /// Distance outside the rim, in standard deviations, beyond which no light is left: see [`Rim::cut`].
-const NOTHING: f32 = 3.5;
+const NOTHING: f32 = 3.1;
 /// Height of the strips in which pixels are processed together, px. Neighbours see the same nodes through the same part of the
 /// pupil.
 const STRIP_PX: f32 = 3.0;
@@ -149,6 +149,11 @@ impl Bundle {
             bend: Bend::none().in_single(),
             quadrature: Quadrature::of_blur(rho_px),
         }
+    }
+
+    /// Takes the fewest nodes, for positions to a few hundredths of a pixel.
+    pub fn coarse(self) -> Self {
+        Self { quadrature: Quadrature::coarsest(), ..self }
     }
 
     /// Sets the angular response.

@@ -9,6 +9,7 @@
 //! for the accuracy of positions and blur radii that 24 of these nodes reach.)
 
 use std::f32::consts::TAU;
+use std::sync::LazyLock;
 
 /// Ring of nodes: their number, radius and weight of each.
 type Ring = (usize, f64, f64);
@@ -24,6 +25,9 @@ const DESIGNS: [Design; 3] = [
         5.0,
     ),
 ];
+
+static ALL: LazyLock<[Quadrature; DESIGNS.len()]> =
+    LazyLock::new(|| DESIGNS.map(|(rings, variance, _)| Quadrature::new(rings, variance)));
 
 /// Node of the opening.
 #[derive(Debug, Clone, Copy)]
@@ -48,12 +52,13 @@ pub(super) struct Quadrature {
 impl Quadrature {
     /// Returns the cheapest quadrature for a blur radius, px.
     pub fn of_blur(radius_px: f64) -> &'static Self {
-        static ALL: std::sync::LazyLock<[Quadrature; DESIGNS.len()]> =
-            std::sync::LazyLock::new(|| {
-                DESIGNS.map(|(rings, variance, _)| Quadrature::new(rings, variance))
-            });
         let enough = DESIGNS.iter().position(|(.., largest)| radius_px.abs() <= *largest);
         &ALL[enough.unwrap_or(DESIGNS.len() - 1)]
+    }
+
+    /// Returns the quadrature with the fewest nodes.
+    pub fn coarsest() -> &'static Self {
+        &ALL[0]
     }
 
     #[allow(clippy::cast_possible_truncation)] // single precision, as the light
