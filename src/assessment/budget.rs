@@ -1,0 +1,165 @@
+//! The uncertainty budget in the sense of the GUM: σ of quantities, and the part of each source.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::object_space::{Distance, ObjectSpace, PointTrust, camera_covariance};
+use crate::calibration::{APERTURE_RATIO, Calibration, MODEL_ERRORS};
+use crate::model::Parameter;
+use crate::quantity::display_unit;
+use crate::solver::Uncertainty;
+
+/// Source of uncertainty.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// Independent errors of observations.
+    Noise,
+    /// What the observations of a frame, or neighbouring centres, share beyond noise.
+    Shared,
+    /// Quantities that the white images determine.
+    WhiteImages,
+    /// Aperture ratio of the micro-lenses.
+    ApertureRatio,
+    /// Errors of the models of corners and centroids.
+    Models,
+    /// Priors, without what the white images contribute to them.
+    Priors,
+}
+
+impl Source {
+    /// All sources.
+    pub const ALL: [Self; 6] = [
+        Self::Noise,
+        Self::Shared,
+        Self::WhiteImages,
+        Self::ApertureRatio,
+        Self::Models,
+        Self::Priors,
+    ];
+
+    /// Returns the source in words.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Noise => "Noise",
+            Self::Shared => "Shared errors",
+            Self::WhiteImages => "White images",
+            Self::ApertureRatio => "Aperture ratio",
+            Self::Models => "Models",
+            Self::Priors => "Priors",
+        }
+    }
+}
+
+/// A quantity of a budget.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BudgetLine {
+    /// Name of the quantity.
+    pub name: String,
+    /// Value.
+    pub value: f64,
+    /// Unit of the value and of all σ.
+    pub unit: &'static str,
+    /// Standard deviation.
+    pub std_dev: f64,
+    /// Standard deviation due to each source, in the order of [`Source::ALL`]; their squares add up. `None` for shared errors
+    /// if the frames are too few to show them.
+    pub parts: [Option<f64>; 6],
+}
+
+/// Parameters in a budget; the focal lengths of the lens types follow.
+const SHOWN: [&str; 3] = ["F", "D", "d"];
+/// Number of distances of points.
+const DISTANCES: usize = 3;
+
+/// Returns the budget of F, D, d and fᵢ, and of points in the middle of the image at the nearest, a middle and the furthest
+/// distance of the boards. Parameters that are fixed or not determined have no line.
+#[must_use]
+pub fn uncertainty_budget(
+    calibration: &Calibration,
+    space: Option<&ObjectSpace>,
+) -> Vec<BudgetLine> {
+    let uncertainty = &calibration.uncertainty;
+    let lens_types = calibration.camera.lens_types();
+    let free = &uncertainty.free_intrinsics;
+    let parameters = Parameter::intrinsic(lens_types);
+    let values = calibration.camera.intrinsics();
+    let parts = Parts::of(uncertainty);
+    let of_parameter = |row: usize| {
+        let parameter = parameters.get(free[row])?;
+        let name = parameter.name();
+        let shown = SHOWN.contains(&name) || name.starts_with("f_");
+        let (unit, factor) = display_unit(name, parameter.unit());
+        let along = DVector::from_fn(free.len(), |i, _| if i == row { factor } else { 0.0 });
+        let value = values[free[row]] * factor;
+        (shown && uncertainty.determined[row]).then(|| parts.line(name, value, unit, &along))
+    };
+    let mut lines: Vec<BudgetLine> = (0..free.len()).filter_map(of_parameter).collect();
+    for distance in space.map(spread_distances).unwrap_or_default() {
+        let Some(point) = middle(distance) else { continue };
+        for (axis, name) in [(0, "point, across"), (2, "point, along")] {
+            let along = point.by_intrinsics.row(axis).transpose();
+            lines.push(parts.line(name, distance.distance_mm, "mm", &along));
+        }
+    }
+    lines
+}
+
+/// Returns the nearest, a middle and the furthest distance of the boards.
+fn spread_distances(space: &ObjectSpace) -> Vec<&Distance> {
+    let within: Vec<&Distance> = space.distances.iter().filter(|d| d.within_boards).collect();
+    let count = within.len().min(DISTANCES);
+    (0..count).map(|i| within[i * (within.len() - 1) / (count - 1).max(1)]).collect()
+}
+
+/// Returns the point nearest to the axis.
+fn middle(distance: &Distance) -> Option<&PointTrust> {
+    let off = |p: &PointTrust| p.point_mm.coords.xy().norm();
+    distance.points.iter().min_by(|a, b| off(a).total_cmp(&off(b)))
+}
+
+/// Covariance of the free intrinsic parameters by source.
+struct Parts<'a> {
+    uncertainty: &'a Uncertainty,
+    total: DMatrix<f64>,
+    noise: DMatrix<f64>,
+    priors: DMatrix<f64>,
+}
+
+impl<'a> Parts<'a> {
+    fn of(uncertainty: &'a Uncertainty) -> Self {
+        Self {
+            uncertainty,
+            total: camera_covariance(uncertainty),
+            noise: DMatrix::from(&uncertainty.noise_covariance),
+            priors: DMatrix::from(&uncertainty.prior_covariance),
+        }
+    }
+
+    /// Returns the line of a quantity with this gradient.
+    fn line(
+        &self,
+        name: &str,
+        value: f64,
+        unit: &'static str,
+        gradient: &DVector<f64>,
+    ) -> BudgetLine {
+        let variance = |covariance: &DMatrix<f64>| (covariance * gradient).dot(gradient).max(0.0);
+        let (total, noise, priors) =
+            (variance(&self.total), variance(&self.noise), variance(&self.priors));
+        let [mut whites, mut ratio, mut models] = [0.0; 3];
+        for change in &self.uncertainty.systematic_changes {
+            let by = gradient.iter().zip(&change.changes).map(|(g, c)| g * c).sum::<f64>().powi(2);
+            match change.source.as_str() {
+                APERTURE_RATIO => ratio += by,
+                source if MODEL_ERRORS.contains(&source) => models += by,
+                _ => whites += by,
+            }
+        }
+        // The scatter of frames contains the noise; what it shows beyond is shared.
+        let shared = (total - noise - whites - ratio - models - priors).max(0.0);
+        let shared = self.uncertainty.shared.then_some(shared);
+        let variances = [Some(noise), shared, Some(whites), Some(ratio), Some(models), Some(priors)];
+        let parts = variances.map(|variance| variance.map(f64::sqrt));
+        BudgetLine { name: name.to_owned(), value, unit, std_dev: total.sqrt(), parts }
+    }
+}
