@@ -1,11 +1,11 @@
 //! The uncertainty budget in the sense of the GUM: σ of quantities, and the part of each source.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::object_space::{Distance, ObjectSpace, PointTrust, camera_covariance};
 use crate::calibration::{APERTURE_RATIO, Calibration, MODEL_ERRORS};
 use crate::model::Parameter;
-use crate::quantity::display_unit;
+use crate::quantity::{display_unit, fixed};
 use crate::solver::Uncertainty;
 
 /// Source of uncertainty.
@@ -55,8 +55,8 @@ impl Source {
 pub struct BudgetLine {
     /// Name of the quantity.
     pub name: String,
-    /// Value.
-    pub value: f64,
+    /// Value; `None` for a point.
+    pub value: Option<f64>,
     /// Unit of the value and of all σ.
     pub unit: &'static str,
     /// Standard deviation.
@@ -71,8 +71,8 @@ const SHOWN: [&str; 3] = ["F", "D", "d"];
 /// Number of distances of points.
 const DISTANCES: usize = 3;
 
-/// Returns the budget of F, D, d and fᵢ, and of points in the middle of the image at the nearest, a middle and the furthest
-/// distance of the boards. Parameters that are fixed or not determined have no line.
+/// Returns the budget of F, D, d and fᵢ, and of the points with the median σ over the image at the nearest, a middle and the
+/// furthest distance of the boards, across the axis and along it. Parameters that are fixed or not determined have no line.
 #[must_use]
 pub fn uncertainty_budget(
     calibration: &Calibration,
@@ -91,15 +91,18 @@ pub fn uncertainty_budget(
         let (unit, factor) = display_unit(name, parameter.unit());
         let along = DVector::from_fn(free.len(), |i, _| if i == row { factor } else { 0.0 });
         let value = values[free[row]] * factor;
-        (shown && uncertainty.determined[row]).then(|| parts.line(name, value, unit, &along))
+        let line = || parts.line(name.to_owned(), Some(value), unit, &along);
+        (shown && uncertainty.determined[row]).then(line)
     };
     let mut lines: Vec<BudgetLine> = (0..free.len()).filter_map(of_parameter).collect();
+    let place = |line: &BudgetLine| SHOWN.iter().position(|name| *name == line.name);
+    lines.sort_by_key(|line| place(line).unwrap_or(SHOWN.len()));
     for distance in space.map(spread_distances).unwrap_or_default() {
-        let Some(point) = middle(distance) else { continue };
-        for (axis, name) in [(0, "point, across"), (2, "point, along")] {
-            let along = point.by_intrinsics.row(axis).transpose();
-            lines.push(parts.line(name, distance.distance_mm, "mm", &along));
-        }
+        let at = fixed(distance.distance_mm, 1);
+        let across = parts.most_across(median_point(distance, 0));
+        let along = median_point(distance, 1).by_intrinsics.row(2).transpose();
+        lines.push(parts.line(format!("point at {at} mm, across"), None, "mm", &across));
+        lines.push(parts.line(format!("point at {at} mm, along"), None, "mm", &along));
     }
     lines
 }
@@ -111,10 +114,11 @@ fn spread_distances(space: &ObjectSpace) -> Vec<&Distance> {
     (0..count).map(|i| within[i * (within.len() - 1) / (count - 1).max(1)]).collect()
 }
 
-/// Returns the point nearest to the axis.
-fn middle(distance: &Distance) -> Option<&PointTrust> {
-    let off = |p: &PointTrust| p.point_mm.coords.xy().norm();
-    distance.points.iter().min_by(|a, b| off(a).total_cmp(&off(b)))
+/// Returns the point with the median σ in a direction.
+fn median_point(distance: &Distance, direction: usize) -> &PointTrust {
+    let mut points: Vec<&PointTrust> = distance.points.iter().collect();
+    points.sort_by(|a, b| a.std_dev_mm[direction].total_cmp(&b.std_dev_mm[direction]));
+    points[points.len() / 2]
 }
 
 /// Covariance of the free intrinsic parameters by source.
@@ -135,11 +139,19 @@ impl<'a> Parts<'a> {
         }
     }
 
+    /// Returns the gradient of a point across the axis in the direction of its largest σ.
+    fn most_across(&self, point: &PointTrust) -> DVector<f64> {
+        let across = point.by_intrinsics.rows(0, 2);
+        let eigen = SymmetricEigen::new(across * &self.total * across.transpose());
+        let largest = eigen.eigenvalues.imax();
+        across.tr_mul(&eigen.eigenvectors.column(largest))
+    }
+
     /// Returns the line of a quantity with this gradient.
     fn line(
         &self,
-        name: &str,
-        value: f64,
+        name: String,
+        value: Option<f64>,
         unit: &'static str,
         gradient: &DVector<f64>,
     ) -> BudgetLine {
@@ -158,8 +170,9 @@ impl<'a> Parts<'a> {
         // The scatter of frames contains the noise; what it shows beyond is shared.
         let shared = (total - noise - whites - ratio - models - priors).max(0.0);
         let shared = self.uncertainty.shared.then_some(shared);
-        let variances = [Some(noise), shared, Some(whites), Some(ratio), Some(models), Some(priors)];
+        let variances =
+            [Some(noise), shared, Some(whites), Some(ratio), Some(models), Some(priors)];
         let parts = variances.map(|variance| variance.map(f64::sqrt));
-        BudgetLine { name: name.to_owned(), value, unit, std_dev: total.sqrt(), parts }
+        BudgetLine { name, value, unit, std_dev: total.sqrt(), parts }
     }
 }

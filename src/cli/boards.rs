@@ -224,9 +224,11 @@ pub fn detect_subset(
     let draw = |frame: &DetectedFrame, image: Option<&RawImage>| {
         if let (true, Some(image)) = (options.pictures, image) {
             let photograph = Photograph::of(image);
-            let svg = frame.result.as_ref().ok().map(|detection| {
-                report::features_figure(&photograph, detection, &shoot.board)
-            });
+            let svg = frame
+                .result
+                .as_ref()
+                .ok()
+                .map(|detection| report::features_figure(&photograph, detection, &shoot.board));
             let figure = svg.transpose()?.map(|svg| picture(frame, svg));
             pictures
                 .lock()

@@ -48,7 +48,9 @@ pub fn pictures_of(
             let about: Vec<Finding> = of
                 .findings
                 .iter()
-                .filter(|f| matches!(f.subject, Subject::Frame { frame: of, .. } if of == frame.frame))
+                .filter(
+                    |f| matches!(f.subject, Subject::Frame { frame: of, .. } if of == frame.frame),
+                )
                 .cloned()
                 .collect();
             pictures.push(Picture::of_board(
@@ -65,7 +67,8 @@ pub fn pictures_of(
         let path = &white.image;
         let radii_px = radii_of(path, whites.result);
         let image = address(out, path)?;
-        let source = PictureSource { group: "White images", photograph, image, radii_px: &radii_px };
+        let source =
+            PictureSource { group: "White images", photograph, image, radii_px: &radii_px };
         let name = path.display().to_string();
         let about: Vec<Finding> = whites
             .result

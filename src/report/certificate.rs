@@ -44,8 +44,8 @@ pub fn certificate_section(of: &Certified) -> Section {
         "Fewer than six frames do not show what their observations share, so σ lacks it."
     };
     parts.push(Part::Text(format!(
-        "All σ are standard uncertainties (k = 1), due to all sources and to each; squares add up. Points are in the \
-         middle of the image, against the boards, without the noise of their own observation. {shared} The shape of \
+        "All σ are standard uncertainties (k = 1), due to all sources and to each; squares add up. Points have the \
+         median σ over the image, against the boards, without the noise of their own observation. {shared} The shape of \
          the board, if estimated, is in all columns. σ does not contain a wrong size of the squares, which changes \
          all lengths in proportion."
     )));
@@ -87,7 +87,11 @@ fn subject_table(of: &Certified) -> Table {
             ),
         ),
     ];
-    rows.extend(of.images.iter().map(|(kind, count, hash)| (kind.clone(), format!("{count}, SHA-256 {hash}"))));
+    rows.extend(
+        of.images
+            .iter()
+            .map(|(kind, count, hash)| (kind.clone(), format!("{count}, SHA-256 {hash}"))),
+    );
     rows.push((
         "Method".to_owned(),
         format!(
@@ -98,7 +102,8 @@ fn subject_table(of: &Certified) -> Table {
         ),
     ));
     rows.push(("Residuals (RMS)".to_owned(), rmse_text(&calibration.reprojection.rmse())));
-    let mut table = Table::new("Camera, images and method", ["Subject", "Description"].map(Column::text));
+    let mut table =
+        Table::new("Camera, images and method", ["Subject", "Description"].map(Column::text));
     for (name, text) in rows {
         table.push([name.into(), text.into()]);
     }
@@ -122,7 +127,7 @@ fn budget_table(lines: &[BudgetLine]) -> Table {
         let row = [
             line.name.as_str().into(),
             line.unit.into(),
-            Cell::value(line.value, Some(line.std_dev)),
+            line.value.map_or(Cell::empty(), |value| Cell::value(value, Some(line.std_dev))),
             Cell::two_digits(line.std_dev),
         ];
         let parts = line.parts.map(|part| match part {

@@ -237,7 +237,10 @@ mod tests {
             Section::new("D", Vec::new()),
         ];
         let html = Report { sections, ..Report::default() }.to_html();
-        assert_eq!(html.matches("<h2 id=\"question-trust-heading\">Can I trust it?</h2>").count(), 1);
+        assert_eq!(
+            html.matches("<h2 id=\"question-trust-heading\">Can I trust it?</h2>").count(),
+            1
+        );
         assert_eq!(html.matches("<h3 id").count(), 3);
         assert!(html.contains("<h2 id=\"section-d-heading\">"));
         assert_eq!(html.matches("<section").count(), html.matches("</section>").count());

@@ -26,8 +26,8 @@ pub use cost::cost_section;
 pub use detection::detection_section;
 pub use evaluation::{cameras_table, evaluation_section, truth_table};
 pub use figures::{
-    OF_RESIDUALS, OF_RESULT, array_residuals_figure, calibration_figures, comparison_figures, features_figure,
-    micro_images_figure, model_figures, precalibration_figures, radii_figure,
+    OF_RESIDUALS, OF_RESULT, array_residuals_figure, calibration_figures, comparison_figures,
+    features_figure, micro_images_figure, model_figures, precalibration_figures, radii_figure,
 };
 pub use models::{MODELS, models_parts};
 pub use photograph::Photograph;

@@ -193,7 +193,7 @@
       const inside = p => p.u > u - near && p.v > v - near && p.u < u + width * px + near && p.v < v + height * px + near;
       const [microImages, ofFeatures, ofBoard] = checks.map(check => check.checked);
       // Circles smaller than this would hide the picture.
-      if (microImages && data.pitch_px * scale > 12) {
+      if (microImages && data.pitch_px * scale > 20) {
         context.lineWidth = px;
         picture.radii_px.forEach((radius, type) => {
           context.beginPath();
@@ -244,7 +244,8 @@
       const title = `Corner ${corner} (column ${column}, row ${row}): ${list.length} micro-images` +
         (rms === null ? "" : `, ${rms.toFixed(3)} px RMS`);
       const views = list.map(cutOut);
-      panel.replaceChildren(make("h4", {}, title, " ", close), make("div", { className: "cut-outs" }, ...views));
+      panel.replaceChildren(make("h4", {}, title, " ", close),
+        make("p", { className: "hint" }, "In px: the feature ± σ and, in brackets, its residual, observed minus projected."), make("div", { className: "cut-outs" }, ...views));
       panel.setAttribute("aria-label", title);
       panel.hidden = false;
       if (focus) panel.focus();
@@ -276,7 +277,8 @@
       drawFeature(target, f, enlarged(), 1 / scale);
       const line = (name, value, sigma, residual) => {
         if (value === null) return `${name} not measured`;
-        const [deviation, rest] = [sigma === null ? "" : ` ± ${fixed(sigma, 3)}`, residual === null ? "" : `, residual ${fixed(residual, 3)}`];
+        const deviation = sigma === null ? "" : ` ± ${fixed(sigma, 3)}`;
+        const rest = residual === null ? "" : ` (${residual < 0 ? "" : "+"}${fixed(residual, 3)})`;
         return `${name} ${fixed(value, 2)}${deviation}${rest}`;
       };
       const type = center.type === undefined ? "" : `, type ${center.type + 1}`;
@@ -386,13 +388,13 @@
       const apart = point => Math.hypot(point[0] - other[0], point[1] - other[1]);
       zoom(apart(now) / Math.max(apart(before), 1), ...other);
     };
-    canvas.onpointerup = event => {
-      pointers.delete(event.pointerId);
-      if (moved > DRAG || pointers.size) return;
+    canvas.onpointerup = event => pointers.delete(event.pointerId);
+    canvas.onpointercancel = canvas.onpointerup;
+    canvas.onclick = event => {
+      if (moved > DRAG) return;
       const f = nearest(event.offsetX, event.offsetY, 8);
       if (f) open(f.corner, true);
     };
-    canvas.onpointercancel = event => pointers.delete(event.pointerId);
     new ResizeObserver(() => {
       if (!small) return;
       draw();
