@@ -167,9 +167,14 @@ impl<'a> Parts<'a> {
                 _ => whites += by,
             }
         }
-        // The scatter of frames contains the noise; what it shows beyond is shared.
-        let shared = (total - noise - whites - ratio - models - priors).max(0.0);
-        let shared = self.uncertainty.shared.then_some(shared);
+        // The scatter of frames contains the noise; what it shows beyond is shared. Along combinations of parameters, a few
+        // frames can scatter less than noise by chance.
+        let scatter = (total - whites - ratio - models - priors).max(0.0);
+        let (noise, shared) = if self.uncertainty.shared {
+            (noise.min(scatter), Some((scatter - noise).max(0.0)))
+        } else {
+            (noise, None)
+        };
         let variances =
             [Some(noise), shared, Some(whites), Some(ratio), Some(models), Some(priors)];
         let parts = variances.map(|variance| variance.map(f64::sqrt));

@@ -5,11 +5,12 @@ use std::fs;
 use std::path::{Component, Path, PathBuf};
 
 use plenocal::calibration::OutlyingFeature;
-use plenocal::detection::DetectedBoards;
+use plenocal::detection::{DetectedBoards, DetectedFrame};
 use plenocal::model::{FeatureResidual, Subset};
 use plenocal::precalibration::Precalibration;
 use plenocal::report::{Part, Photograph, Picture, PictureSource, pictures_part};
 use plenocal::{Error, Finding, Result, Subject};
+use rayon::prelude::*;
 
 use super::boards::{Photographs, Shoot, images_of};
 
@@ -37,32 +38,25 @@ pub fn pictures_of(
     out: &Path,
 ) -> Result<Part> {
     let radii_px = radii_of_boards(shoot, whites.result)?;
-    let mut pictures = Vec::new();
-    for of in boards {
+    let all: Vec<_> = boards
+        .iter()
+        .flat_map(|of| {
+            let images = images_of(of.subset, &shoot.images);
+            of.found.frames.iter().zip(images).map(move |(frame, path)| (of, frame, path))
+        })
+        .collect();
+    let picture = |&(of, frame, path): &(&ShownBoards, &DetectedFrame, &PathBuf)| {
+        let Some(photograph) = of.photographs.get(&frame.frame) else { return Ok(None) };
         let group = format!("Boards: {}", of.subset.name());
-        let images = images_of(of.subset, &shoot.images);
-        for (frame, path) in of.found.frames.iter().zip(images) {
-            let Some(photograph) = of.photographs.get(&frame.frame) else { continue };
-            let image = address(out, path)?;
-            let source = PictureSource { group: &group, photograph, image, radii_px: &radii_px };
-            let about: Vec<Finding> = of
-                .findings
-                .iter()
-                .filter(
-                    |f| matches!(f.subject, Subject::Frame { frame: of, .. } if of == frame.frame),
-                )
-                .cloned()
-                .collect();
-            pictures.push(Picture::of_board(
-                source,
-                frame,
-                &shoot.board,
-                of.residuals,
-                &about,
-                of.outlying,
-            )?);
-        }
-    }
+        let image = address(out, path)?;
+        let source = PictureSource { group: &group, photograph, image, radii_px: &radii_px };
+        let is_about = |f: &&Finding| matches!(f.subject, Subject::Frame { frame: of, .. } if of == frame.frame);
+        let about: Vec<Finding> = of.findings.iter().filter(is_about).cloned().collect();
+        let board = &shoot.board;
+        Picture::of_board(source, frame, board, of.residuals, &about, of.outlying).map(Some)
+    };
+    let of_boards = all.par_iter().map(picture).collect::<Result<Vec<_>>>()?;
+    let mut pictures: Vec<Picture> = of_boards.into_iter().flatten().collect();
     for (white, photograph) in shoot.images.whites.iter().zip(whites.photographs) {
         let path = &white.image;
         let radii_px = radii_of(path, whites.result);

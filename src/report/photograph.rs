@@ -9,10 +9,10 @@ use crate::image::RawImage;
 /// Largest width, px.
 const WIDTH: usize = 1400;
 /// Largest width of a picture that is one of many on a page, px.
-const SMALL_WIDTH: usize = 600;
+const SMALL_WIDTH: usize = 700;
 /// JPEG quality, up to 100.
 const QUALITY: u8 = 60;
-const SMALL_QUALITY: u8 = 50;
+const SMALL_QUALITY: u8 = 45;
 
 /// Image of the camera, reduced to the mean of square blocks of pixels.
 #[derive(Debug, Clone, PartialEq)]

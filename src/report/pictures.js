@@ -116,7 +116,7 @@
         make("label", {}, "Picture ", choice), make("span", {}, ...buttons),
         ...checks.map(check => make("label", {}, check, ` ${check.name}`)),
         make("label", {}, "Residuals ", slider, " ", factor), make("label", {}, "Corner ", corners)),
-      canvas, status, findings, make("p", { className: "hint" }, hint), panel);
+      canvas, status, panel, findings, make("p", { className: "hint" }, hint));
 
     let picture, found = [], small, full, fullState, view, chosen = null;
     const context = canvas.getContext("2d");

@@ -1,7 +1,6 @@
 //! Pictures to look into: images of the camera with what was found in them, for a page.
 
 use std::collections::BTreeMap;
-use std::io::Write as _;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -10,7 +9,7 @@ use flate2::write::DeflateEncoder;
 use serde::Serialize;
 use serde_json::json;
 
-use super::drawing::TYPE_COLORS;
+use super::drawing::{Color, TYPE_COLORS};
 use super::figures::board_lines;
 use super::photograph::Photograph;
 use super::tree::Part;
@@ -146,7 +145,7 @@ pub fn pictures_part(pictures: Vec<Picture>, whites: &Precalibration) -> Result<
         pictures,
         centers: centers(&whites.array, whites.lens_types.types)?,
         pitch_px: rounded(whites.array.grid.pitch_px),
-        colors: colors.map(|color| color.hex()).collect(),
+        colors: colors.map(Color::hex).collect(),
     })))
 }
 
@@ -181,7 +180,7 @@ fn packed(columns: &[Numbers]) -> Result<String> {
     let columns: Vec<Numbers> = columns.iter().map(differences).collect();
     let mut encoder = DeflateEncoder::new(Vec::new(), Compression::default());
     let failed = |e: std::io::Error| Error::invalid(format!("a figure could not be drawn: {e}"));
-    encoder.write_all(json!(columns).to_string().as_bytes()).map_err(failed)?;
+    serde_json::to_writer(&mut encoder, &columns).map_err(|e| failed(e.into()))?;
     Ok(STANDARD.encode(encoder.finish().map_err(failed)?))
 }
 
