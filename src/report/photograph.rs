@@ -12,7 +12,7 @@ const WIDTH: usize = 1400;
 const SMALL_WIDTH: usize = 700;
 /// JPEG quality, up to 100.
 const QUALITY: u8 = 60;
-const SMALL_QUALITY: u8 = 45;
+const SMALL_QUALITY: u8 = 35;
 
 /// Image of the camera, reduced to the mean of square blocks of pixels.
 #[derive(Debug, Clone, PartialEq)]
