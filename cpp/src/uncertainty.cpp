@@ -140,9 +140,8 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
   const auto of_intrinsics = [&](const MatrixXd& all) -> MatrixXd {
     return symmetric(all).topLeftCorner(equations.intrinsics, equations.intrinsics);
   };
-  result.noise_covariance =
-      to_matrix(result.shared ? shared.noise_covariance
-                              : of_intrinsics(inverse * independent * inverse));
+  result.noise_covariance = to_matrix(
+      result.shared ? shared.noise_covariance : of_intrinsics(inverse * independent * inverse));
   result.prior_covariance =
       to_matrix(result.shared ? shared.prior_covariance
                               : of_intrinsics(prior_covariance(equations, inverse, weight)));
