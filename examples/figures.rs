@@ -82,7 +82,7 @@ fn main() -> Result<()> {
     let image = shot.take(&settings, &|| ())?;
     let (detected, _) = detect_frame(pose.frame, &image.grey(), &reference.grey(), &search);
     let detected = detected.expect("the board is in view");
-    let features = report::features_figure(&image, &detected, &board)?;
+    let features = report::features_figure(&report::Photograph::of(&image), &detected, &board)?;
 
     let mut output = OutputFolder::new(Path::new(&folder))?;
     for (name, figure) in [

@@ -226,6 +226,8 @@ Uncertainty uncertainty(const ProblemParts& problem, const CostOptions& cost,
   shared.shared = u.shared;
   shared.covariance = from_core(u.covariance);
   shared.independent_covariance = from_core(u.independent_covariance);
+  shared.noise_covariance = from_core(u.noise_covariance);
+  shared.prior_covariance = from_core(u.prior_covariance);
   shared.freedom = from_core(u.freedom);
   shared.left_out_changes = from_core(u.left_out_changes);
   shared.frame_shares = from_core(u.frame_shares);

@@ -119,12 +119,17 @@ MatrixXd systematic_changes(const NormalEquations& equations, const MatrixXd& in
                     std::sqrt(prior_weight) * equations.by_systematic_priors);
 }
 
+MatrixXd prior_covariance(const NormalEquations& equations, const MatrixXd& inverse,
+                          double prior_weight) {
+  const MatrixXd contained = std::sqrt(prior_weight) * inverse * equations.in_priors;
+  return prior_weight * (inverse * equations.information[kPrior] * inverse) -
+         contained * contained.transpose();
+}
+
 MatrixXd systematic_covariance(const NormalEquations& equations, const MatrixXd& inverse,
                                double prior_weight) {
   const MatrixXd changes = systematic_changes(equations, inverse, prior_weight);
-  const MatrixXd of_priors = std::sqrt(prior_weight) * inverse * equations.in_priors;
-  return prior_weight * (inverse * equations.information[kPrior] * inverse) +
-         changes * changes.transpose() - of_priors * of_priors.transpose();
+  return prior_covariance(equations, inverse, prior_weight) + changes * changes.transpose();
 }
 
 MatrixXd symmetric(const MatrixXd& matrix) { return 0.5 * (matrix + matrix.transpose()); }
@@ -227,8 +232,9 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   eliminate << MatrixXd::Identity(p, p), follow.transpose();
   const MatrixXd of_all = of_intrinsics * eliminate;
   // A few frames can agree by chance better than noise allows.
+  result.noise_covariance = symmetric(of_all * independent * of_all.transpose());
   const MatrixXd camera = at_least(of_intrinsics * (by_frames + by_patches) * of_intrinsics,
-                                   (of_all * independent * of_all.transpose()).diagonal());
+                                   result.noise_covariance.diagonal());
   if (p > 0 && equations.count[kCenter] > 0) {
     VectorXd gradient = VectorXd::Zero(p);
     for (const Group& patch : groups.patches) gradient += patch.gradient;
@@ -245,6 +251,8 @@ SharedErrors shared_errors(const NormalEquations& equations, const MatrixXd& inv
   const MatrixXd hessian_inverse = joined(of_intrinsics, follow, of_poses);
   result.covariance = symmetric(joined(camera, follow, spread_of_poses) +
                                 systematic_covariance(equations, hessian_inverse, prior_weight));
+  result.prior_covariance =
+      symmetric(prior_covariance(equations, hessian_inverse, prior_weight)).topLeftCorner(p, p);
   result.systematic_changes = systematic_changes(equations, hessian_inverse, prior_weight);
 
   const VectorXd variance = result.covariance.diagonal().head(p);

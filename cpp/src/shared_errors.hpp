@@ -25,6 +25,11 @@ Eigen::MatrixXd gradient_spread(const std::vector<Group>& groups);
 Eigen::MatrixXd systematic_changes(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
                                    double prior_weight);
 
+/// Returns the part of the covariance due to priors, without the systematic errors that their sigma
+/// contains.
+Eigen::MatrixXd prior_covariance(const NormalEquations& equations, const Eigen::MatrixXd& inverse,
+                                 double prior_weight);
+
 /// Returns the part of the covariance due to priors and systematic errors, not to single
 /// observations.
 Eigen::MatrixXd systematic_covariance(const NormalEquations& equations,
@@ -39,6 +44,8 @@ struct Contradiction {
 /// Results for shared errors and for single frames; see `Uncertainty`.
 struct SharedErrors {
   Eigen::MatrixXd covariance;
+  Eigen::MatrixXd noise_covariance;
+  Eigen::MatrixXd prior_covariance;
   Eigen::VectorXd freedom;
   double dispersion;
   Contradiction contradiction;

@@ -138,6 +138,14 @@ Uncertainty uncertainty(const Camera& camera, const std::vector<Pose>& poses,
       result.shared ? shared.systematic_changes : systematic_changes(equations, inverse, weight);
   result.systematic_changes = to_matrix(changes.topRows(equations.intrinsics).transpose());
   result.covariance = to_matrix(result.shared ? shared.covariance : covariance);
+  const auto of_intrinsics = [&](const MatrixXd& all) -> MatrixXd {
+    return symmetric(all).topLeftCorner(equations.intrinsics, equations.intrinsics);
+  };
+  result.noise_covariance = to_matrix(
+      result.shared ? shared.noise_covariance : of_intrinsics(inverse * independent * inverse));
+  result.prior_covariance =
+      to_matrix(result.shared ? shared.prior_covariance
+                              : of_intrinsics(prior_covariance(equations, inverse, weight)));
   add_weakest(scaled, result.shared ? shared.covariance : covariance, &result);
   const VectorXd step = -inverse * equations.gradient;
   result.next_step.assign(step.begin(), step.end());

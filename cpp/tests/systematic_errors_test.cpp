@@ -61,6 +61,10 @@ TEST(SystematicErrors, ChangeParametersAsMovedObservationsDo) {
     EXPECT_GE(u.independent_covariance(i, i), without.independent_covariance(i, i) +
                                                   0.9 * change * change - 1e-6 * std_dev * std_dev)
         << index;
+    // With so few frames, the covariance has no other parts.
+    const double by_error = u.systematic_changes(0, i) * u.systematic_changes(0, i);
+    const double sum = u.noise_covariance(i, i) + u.prior_covariance(i, i) + by_error;
+    EXPECT_NEAR(u.covariance(i, i), sum, 1e-9 * sum) << index;
   }
   error.centers.pop_back();
   expect_names(rejection([&] {

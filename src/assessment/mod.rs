@@ -5,6 +5,7 @@
 //! cross-validation, and true cameras and poses. [`compare_models`] judges groups of parameters, [`DetectionScore`] features.
 
 pub mod bias;
+mod budget;
 mod camera_comparison;
 mod camera_in_use;
 mod cross_validation;
@@ -23,6 +24,7 @@ mod truth;
 mod verdict;
 
 pub use crate::checks::camera::DistanceCheck;
+pub use budget::{BudgetLine, Source, uncertainty_budget};
 pub use camera_comparison::{
     CameraComparison, DistanceDifference, ParameterPair, WithStdDevs, compare_cameras,
 };

@@ -38,4 +38,5 @@ pub use refit::{Minimum, Refit};
 pub use result::Calibration;
 pub use stage::{calibrate, cost_at, cost_of_problem_at};
 pub use start::Start;
+pub use systematic_errors::{APERTURE_RATIO, MODEL_ERRORS};
 pub use words::{termination_text, weakest_directions_text};

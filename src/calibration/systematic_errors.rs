@@ -19,7 +19,11 @@ use crate::solver::{self, CostOptions, Prior, SystematicError};
 const BLUR_MODEL: f64 = 2e-3;
 
 /// Name of the error of the aperture ratio.
-const APERTURE_RATIO: &str = "aperture ratio";
+pub const APERTURE_RATIO: &str = "aperture ratio";
+/// Names of the errors of the models of corners and of centroids.
+pub const MODEL_ERRORS: [&str; 2] = [BLUR, CENTROIDS];
+const BLUR: &str = "blur";
+const CENTROIDS: &str = "centroids";
 
 /// Model error of the shift of centroids, over the gradient of the angular response, px²: the accuracy on simulated
 /// cameras with any law.
@@ -97,7 +101,7 @@ pub(super) fn systematic_errors(
             });
         }
     }
-    add("blur", Vec::new(), &|i, f| of_blur_model(f, own_centers[i]));
+    add(BLUR, Vec::new(), &|i, f| of_blur_model(f, own_centers[i]));
     errors.extend(of_centroids(internal, features.len(), centers));
     Ok(errors)
 }
@@ -154,7 +158,7 @@ fn of_centroids(
         (fall_off.gradient(&Vector2::new(c.u_px, c.v_px)) * CENTROID_MODEL_PX2).into()
     };
     Some(SystematicError {
-        source: "centroids".to_owned(),
+        source: CENTROIDS.to_owned(),
         features_px: vec![0.0; 3 * features],
         centers_px: centers.iter().flat_map(moved).collect(),
         priors: Vec::new(),

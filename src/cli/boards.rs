@@ -1,5 +1,6 @@
 //! Detection of boards in the images of a project, shared by `detect`, `extrinsics`, `evaluate` and `run`.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -10,7 +11,7 @@ use plenocal::detection::{
 use plenocal::image::RawImage;
 use plenocal::io::{self, ImagesSection, OutputFolder, Project};
 use plenocal::model::{Board, Datasheet, InternalParameters, Subset};
-use plenocal::report::Figure;
+use plenocal::report::{Figure, Photograph};
 use plenocal::{Error, Finding, Issue, Result, report};
 
 use super::messages::announce_memory;
@@ -149,6 +150,9 @@ pub struct Options {
     pub quiet: bool,
 }
 
+/// Photographs by frame.
+pub type Photographs = BTreeMap<u32, Photograph>;
+
 /// Creates the figure of a frame.
 fn picture(frame: &DetectedFrame, svg: String) -> Figure {
     let DetectedFrame { frame, name, .. } = frame;
@@ -165,7 +169,8 @@ fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Detects the features of a subset, stages features.csv, detection.json and the pictures, and returns features and pictures.
+/// Detects the features of a subset, stages features.csv, detection.json and the pictures, and returns features and the
+/// photographs of all frames that could be read.
 /// An error if no frame shows the board.
 pub fn detect_subset(
     path: &Path,
@@ -173,7 +178,7 @@ pub fn detect_subset(
     micro_images: &MicroImages,
     options: Options,
     output: &mut OutputFolder,
-) -> Result<(DetectedBoards, Vec<Figure>)> {
+) -> Result<(DetectedBoards, Photographs)> {
     let images = images_of(options.subset, &shoot.images);
     if images.is_empty() {
         let subset = options.subset.name();
@@ -215,14 +220,20 @@ pub fn detect_subset(
         .collect();
     let bar = progress::steps(options.quiet, images.len(), "searching for boards");
     // An image stays in memory only until its frame is done.
-    let pictures: Mutex<Vec<(u32, Figure)>> = Mutex::default();
+    let pictures: Mutex<BTreeMap<u32, (Photograph, Option<Figure>)>> = Mutex::default();
     let draw = |frame: &DetectedFrame, image: Option<&RawImage>| {
-        if let (true, Ok(detection), Some(image)) = (options.pictures, &frame.result, image) {
-            let svg = report::features_figure(image, detection, &shoot.board)?;
+        if let (true, Some(image)) = (options.pictures, image) {
+            let photograph = Photograph::of(image);
+            let svg = frame
+                .result
+                .as_ref()
+                .ok()
+                .map(|detection| report::features_figure(&photograph, detection, &shoot.board));
+            let figure = svg.transpose()?.map(|svg| picture(frame, svg));
             pictures
                 .lock()
                 .unwrap_or_else(std::sync::PoisonError::into_inner)
-                .push((frame.frame, picture(frame, svg)));
+                .insert(frame.frame, (photograph.small(), figure));
         }
         bar.inc();
         Ok(())
@@ -236,18 +247,19 @@ pub fn detect_subset(
             "{}\n  {}\n{}",
             no_board(&found),
             found.findings.iter().map(Finding::to_string).collect::<Vec<_>>().join("\n  "),
-            report::detection_section(options.subset.name(), &found, Vec::new()).to_text()
+            report::detection_section(options.subset.name(), &found).to_text()
         )));
     }
-    let mut pictures = pictures.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-    pictures.sort_by_key(|(frame, _)| *frame);
-    let pictures: Vec<Figure> = pictures.into_iter().map(|(_, figure)| figure).collect();
-    for figure in &pictures {
+    let pictures = pictures.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut photographs = Photographs::new();
+    for (frame, (photograph, figure)) in pictures {
+        photographs.insert(frame, photograph);
+        let Some(figure) = figure else { continue };
         output.stage(&figure.name, |out| out.write_all(figure.svg.as_bytes()))?;
     }
     output.stage("features.csv", |out| io::write_features(out, &features))?;
     output.stage_json("detection.json", &io::detection_document(&found, &shoot.board))?;
-    Ok((found, pictures))
+    Ok((found, photographs))
 }
 
 /// Returns the reason why no frame shows the board, if all frames have the same one; otherwise what to check.

@@ -77,7 +77,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     tell(&found.findings);
     let paths = output.commit()?;
     let document = io::detection_document(&found, &shoot.board);
-    let section = report::detection_section(arguments.subset.name(), &found, Vec::new());
+    let section = report::detection_section(arguments.subset.name(), &found);
     print_result(arguments.json, &document, &shown(&section), &paths)?;
     Ok(ExitCode::SUCCESS)
 }

@@ -23,6 +23,7 @@ mod interrupt;
 mod logging;
 mod man;
 mod messages;
+mod pictures;
 mod points;
 mod precalibrate;
 mod progress;

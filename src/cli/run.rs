@@ -20,14 +20,18 @@ use plenocal::io::{
 };
 use plenocal::model::{Datasheet, Observations, Subset};
 use plenocal::precalibration::{Precalibration, PrecalibrationOptions};
-use plenocal::report::{Cell, Column, Figure, Part, Report, Section, Table};
+use plenocal::report::{
+    Cell, Certified, Column, Figure, Part, Photograph, Question, Report, Section, Table,
+};
 use plenocal::{Error, Finding, Issue, Result, Severity, Subject, report};
+use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use super::boards::{self, Options, Shoot, images_of};
+use super::boards::{self, Options, Photographs, Shoot, images_of};
 use super::calibrate::{compared, stage_results, status, with_method};
 use super::evaluate::{calibrated, clouds, evaluated};
 use super::messages::{announce_calibration, print_result, say, shown, tables_are_shown, tell};
+use super::pictures::{ShownBoards, ShownWhites, pictures_of};
 use super::{precalibrate, progress};
 
 /// Process the images of a project up to a report: pre-calibration, detection, calibration, evaluation.
@@ -39,7 +43,7 @@ pub struct Arguments {
     /// Project file (TOML) with the camera, [board] and [images]; `plenocal init` writes one.
     pub project: PathBuf,
 
-    #[arg(long, value_name = "DIR", help = results_help!("report.html, verdict.json, manifest.json, and a folder for each stage"))]
+    #[arg(long, value_name = "DIR", help = results_help!("report.html, certificate.html, verdict.json, manifest.json, and a folder for each stage"))]
     pub out: PathBuf,
     /// Estimator of the virtual depth of a corner from the micro-images that show it.
     #[arg(long, default_value = "line")]
@@ -81,11 +85,15 @@ const PRECALIBRATION: &str = "precalibration";
 const CALIBRATION: &str = "calibration";
 const CORNERS_ONLY: &str = "corners-only";
 const EVALUATION: &str = "evaluation";
+/// Names of sections that belong to no stage.
+const RESIDUALS: &str = "residuals";
+const PICTURES: &str = "pictures";
 /// Names of the two methods in tables.
 const BLUR_AWARE: &str = "blur aware";
 const CORNERS: &str = "corners only";
 /// Names of the files beside the folders of the stages.
 const REPORT: &str = "report.html";
+const CERTIFICATE: &str = "certificate.html";
 const VERDICT: &str = "verdict.json";
 
 fn boards_stage(subset: Subset) -> &'static str {
@@ -145,6 +153,9 @@ struct Run<'a> {
     sections: Vec<(&'static str, Section)>,
     /// Figures beside the result.
     figures: Vec<Figure>,
+    /// Photographs of boards and white images; empty without pictures.
+    boards: Vec<(Subset, Photographs)>,
+    whites: Vec<Photograph>,
     /// Findings about the camera: from images, boards of the calibration, and the evaluation.
     findings: Vec<Finding>,
 }
@@ -180,6 +191,8 @@ impl<'a> Run<'a> {
             output: OutputFolder::new(&arguments.out)?,
             sections: Vec::new(),
             figures: Vec::new(),
+            boards: Vec::new(),
+            whites: Vec::new(),
             findings: Vec::new(),
         })
     }
@@ -227,7 +240,9 @@ impl<'a> Run<'a> {
         let result = self
             .stage(EVALUATION, |run, output| run.evaluation(&observed, &cameras, &others, output));
         let evaluation = self.tolerated(EVALUATION, result)?;
-        self.finish(&calibration, &assessment, evaluation)
+        let found: Vec<(Subset, DetectedBoards)> =
+            std::iter::once((of_calibration, found)).chain(others).collect();
+        self.finish((&measured, &found), (&calibration, &assessment), evaluation)
     }
 
     /// Returns true if the calibration uses blur, so that corners alone can be compared with it.
@@ -288,6 +303,10 @@ impl<'a> Run<'a> {
         let (result, whites) = precalibrate::measure(path, images, sheet, &options, quiet)?;
         output.stage_json("precalibration.json", &io::precalibration_document(&result))?;
         let figures = precalibrate::stage(output, &result, sheet, &whites)?;
+        if !self.arguments.no_pictures {
+            self.whites =
+                whites.par_iter().map(|white| Photograph::of(&white.image).small()).collect();
+        }
         tell(&result.findings);
         self.findings.extend(result.findings.iter().cloned());
         self.sections.push((PRECALIBRATION, report::precalibration_section(&result, figures)));
@@ -307,10 +326,11 @@ impl<'a> Run<'a> {
             quiet: self.arguments.json,
         };
         let path = &self.arguments.project;
-        let (found, figures) =
+        let (found, photographs) =
             boards::detect_subset(path, self.shoot, micro_images, options, output)?;
+        self.boards.push((subset, photographs));
         tell(&found.findings);
-        let section = report::detection_section(subset.name(), &found, figures);
+        let section = report::detection_section(subset.name(), &found);
         self.sections.push((boards_stage(subset), section));
         Ok(found)
     }
@@ -359,6 +379,11 @@ impl<'a> Run<'a> {
             .into_iter()
             .partition(|figure| report::OF_RESULT.contains(&figure.name.as_str()));
         self.figures = of_result;
+        let (residuals, figures): (Vec<_>, Vec<_>) = figures
+            .into_iter()
+            .partition(|figure| report::OF_RESIDUALS.contains(&figure.name.as_str()));
+        let residuals = residuals.into_iter().map(Part::Figure).collect();
+        self.sections.push((RESIDUALS, Section::new("Residuals", residuals)));
         let mut section = report::calibration_section("Calibration", &result, &assessment, figures);
         section.parts.extend(models);
         self.sections.push((CALIBRATION, section));
@@ -468,8 +493,8 @@ impl<'a> Run<'a> {
     /// Renames all files to their final names, prints the result, and returns the exit status.
     fn finish(
         mut self,
-        calibration: &Calibration,
-        assessment: &Assessment,
+        (measured, found): (&Precalibration, &[(Subset, DetectedBoards)]),
+        (calibration, assessment): (&Calibration, &Assessment),
         evaluation: Option<(Value, Evaluation)>,
     ) -> Result<ExitCode> {
         let changed = self
@@ -496,9 +521,16 @@ impl<'a> Run<'a> {
             "notes": self.findings.iter().filter(|f| f.severity == Severity::Note).collect::<Vec<_>>(),
         });
         let text = self.printed(&section);
+        if !self.arguments.no_pictures {
+            let pictures =
+                self.pictures(measured, found, (calibration, assessment), evaluation.as_ref())?;
+            self.sections.insert(0, (PICTURES, Section::new("Images", vec![pictures])));
+        }
         let time_s = self.begun.elapsed().as_secs_f64();
         let report = self.report(section, time_s);
         self.output.stage(REPORT, |out| out.write_all(report.to_html().as_bytes()))?;
+        let certificate = self.certificate(calibration, assessment);
+        self.output.stage(CERTIFICATE, |out| out.write_all(certificate.to_html().as_bytes()))?;
         self.output.stage_json(VERDICT, &document)?;
         // Replaces the file of the calibration stage, whose verdict does not include the other stages.
         let judged = Assessment {
@@ -537,27 +569,95 @@ impl<'a> Run<'a> {
         std::iter::once(shown(result)).chain(tables).collect::<Vec<_>>().join("\n\n")
     }
 
-    /// Creates the report: the result first, then the stages.
-    fn report(&self, result: Section, time_s: f64) -> Report {
-        let is_result = |stage: &str| [CALIBRATION, EVALUATION].contains(&stage);
-        let (results, rest): (Vec<_>, Vec<_>) =
-            self.sections.iter().cloned().partition(|(stage, _)| is_result(stage));
-        let stages = results.into_iter().chain(rest).map(|(_, section)| section);
+    /// Returns the images of the run with what was found in them.
+    fn pictures(
+        &self,
+        measured: &Precalibration,
+        found: &[(Subset, DetectedBoards)],
+        (calibration, assessment): (&Calibration, &Assessment),
+        evaluation: Option<&Evaluation>,
+    ) -> Result<Part> {
+        let of_evaluation = evaluation
+            .and_then(|evaluation| evaluation.candidates.first()?.evaluation.as_ref())
+            .map_or(&[][..], |posed| &posed.reprojection.features);
+        let shown = found.iter().zip(&self.boards).map(|((subset, found), (_, photographs))| {
+            let is_calibration = *subset == Subset::Calibration;
+            let mut findings = found.findings.clone();
+            if is_calibration {
+                findings.extend(assessment.findings.iter().cloned());
+            }
+            ShownBoards {
+                subset: *subset,
+                found,
+                photographs,
+                residuals: match subset {
+                    Subset::Calibration => &calibration.reprojection.features,
+                    Subset::Evaluation => of_evaluation,
+                    Subset::Translation => &[],
+                },
+                findings,
+                outlying: if is_calibration { &assessment.outliers.features } else { &[] },
+            }
+        });
+        let whites = ShownWhites { result: measured, photographs: &self.whites };
+        pictures_of(self.shoot, &shown.collect::<Vec<_>>(), &whites, &self.arguments.out)
+    }
+
+    /// Returns the name of the camera: that of the folder of the project.
+    fn camera(&self) -> String {
         let project = &self.arguments.project;
         let camera = project.parent().and_then(Path::file_name).unwrap_or_default();
-        let camera = if camera.is_empty() {
+        if camera.is_empty() {
             project.display().to_string()
         } else {
             camera.to_string_lossy().into_owned()
+        }
+    }
+
+    /// Returns date and version.
+    fn subtitle(&self) -> String {
+        let date = httpdate::fmt_http_date(SystemTime::now());
+        format!("{date} · plenocal {}", self.manifest.plenocal)
+    }
+
+    /// Creates the report: the result first, then the answers of the stages to each question.
+    fn report(&self, result: Section, time_s: f64) -> Report {
+        let answering = |question: Question| {
+            let of_question = move |(stage, _): &&(&str, Section)| question_of(stage) == question;
+            let sections = self.sections.iter().filter(of_question);
+            sections.map(move |(_, section)| section.clone().answering(question))
         };
+        let result = Section { question: Some(Question::Trust), ..result };
+        let rest = Question::ALL.into_iter().flat_map(answering);
+        let overview = self.overview(time_s).answering(Question::Parameters);
         Report {
-            title: format!("Calibration of {camera}"),
-            subtitle: format!(
-                "{} · plenocal {}",
-                httpdate::fmt_http_date(SystemTime::now()),
-                self.manifest.plenocal
-            ),
-            sections: [result].into_iter().chain(stages).chain([self.overview(time_s)]).collect(),
+            title: format!("Calibration of {}", self.camera()),
+            subtitle: self.subtitle(),
+            sections: std::iter::once(result).chain(rest).chain([overview]).collect(),
+        }
+    }
+
+    /// Creates the certificate.
+    fn certificate(&self, calibration: &Calibration, assessment: &Assessment) -> Report {
+        let images = &self.shoot.images;
+        let of = |name: &str, files: Vec<&Path>| {
+            (name.to_owned(), files.len(), self.manifest.hash_of(files.iter().copied()))
+        };
+        let whites = images.whites.iter().map(|white| white.image.as_path()).collect();
+        let boards = images.calibration.iter().map(PathBuf::as_path).collect();
+        let section = report::certificate_section(&Certified {
+            camera: &self.camera(),
+            sheet: &self.shoot.sheet,
+            board: &self.shoot.board,
+            images: &[of("White images", whites), of("Images of the board", boards)],
+            calibration,
+            assessment,
+            findings: &self.findings,
+        });
+        Report {
+            title: format!("Certificate of calibration of {}", self.camera()),
+            subtitle: self.subtitle(),
+            sections: vec![section],
         }
     }
 
@@ -573,6 +673,16 @@ impl<'a> Run<'a> {
             self.manifest.inputs.len()
         );
         Section::new("Overview", vec![Part::Table(table), Part::Text(text)])
+    }
+}
+
+/// Returns the question that the section of a stage answers.
+fn question_of(stage: &str) -> Question {
+    match stage {
+        EVALUATION => Question::Trust,
+        RESIDUALS => Question::Where,
+        CALIBRATION | CORNERS_ONLY => Question::Parameters,
+        _ => Question::Images,
     }
 }
 

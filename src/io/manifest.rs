@@ -124,6 +124,18 @@ impl Manifest {
         changed.map(|(path, _)| path.clone()).collect()
     }
 
+    /// Returns one hash of several input files: the SHA-256 of the lines of their hashes, as `sha256sum FILES | cut -c1-64 |
+    /// sha256sum` prints it.
+    #[must_use]
+    pub fn hash_of<'a>(&self, files: impl Iterator<Item = &'a Path>) -> String {
+        let mut hasher = Sha256::new();
+        for hash in files.filter_map(|path| self.inputs.get(path)) {
+            hasher.update(hash);
+            hasher.update("\n");
+        }
+        hexadecimal(&hasher.finalize())
+    }
+
     /// Reads the manifest of a folder; `None` if there is none of this version.
     #[must_use]
     pub fn read(folder: &Path) -> Option<Self> {
@@ -168,6 +180,9 @@ mod tests {
             Manifest::of(Path::new("project.toml"), Vec::new(), [path.as_path()].into_iter());
         let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
         assert_eq!(manifest.inputs[&path], known);
+        // echo ba78…15ad | sha256sum
+        let of_one = "620a3df236da0af638c2a61c86951463731998f91dbb3ed629f47b9fe00ad118";
+        assert_eq!(manifest.hash_of([path.as_path()].into_iter()), of_one);
         assert!(manifest.changed_inputs().is_empty());
         fs::write(&path, "abcd").unwrap();
         assert_eq!(manifest.changed_inputs(), [path]);

@@ -1,27 +1,18 @@
 //! The report of detected features.
 
-use super::tree::{Cell, Column, Figure, Part, Section, Table};
+use super::tree::{Cell, Column, Part, Section, Table};
 use crate::detection::{DetectedBoards, DetectedFrame};
 
-/// Number of frames whose figures are shown at once. The others are shown on demand.
-const FRAMES_SHOWN: usize = 1;
-
-/// Returns the report of the boards of a subset: found and dropped features of each frame, and figures of frames.
+/// Returns the report of the boards of a subset: found and dropped features of each frame.
 #[must_use]
-pub fn detection_section(subset: &str, boards: &DetectedBoards, figures: Vec<Figure>) -> Section {
+pub fn detection_section(subset: &str, boards: &DetectedBoards) -> Section {
     let frames = &boards.frames;
     let features: usize = frames.iter().map(DetectedFrame::features).sum();
     let with_features = frames.iter().filter(|frame| frame.features() > 0).count();
     let found = format!("{features} features in {with_features} of {} frames.", frames.len());
     let mut of_frames = vec![Part::Table(frames_table(frames))];
     of_frames.extend(Part::paragraphs(COLUMNS));
-    let mut parts = vec![Part::Text(found), Part::details("Frame by frame", of_frames)];
-    let mut figures = figures.into_iter().map(Part::Figure);
-    parts.extend(figures.by_ref().take(FRAMES_SHOWN));
-    let others: Vec<Part> = figures.collect();
-    if !others.is_empty() {
-        parts.push(Part::details("The other frames", others));
-    }
+    let parts = vec![Part::Text(found), Part::details("Frame by frame", of_frames)];
     let section = Section::new(&format!("Boards: {subset}"), parts);
     Section { warnings: boards.findings.iter().map(ToString::to_string).collect(), ..section }
 }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use nalgebra::Vector2;
+use nalgebra::{Point3, Vector2};
 
 use super::tree::Figure;
 
@@ -42,7 +42,7 @@ impl Color {
         Self(red, green, blue)
     }
 
-    fn hex(self) -> String {
+    pub fn hex(self) -> String {
         let Self(red, green, blue) = self;
         format!("#{red:02x}{green:02x}{blue:02x}")
     }
@@ -64,6 +64,12 @@ pub(super) fn escaped(text: &str) -> String {
         }
     }
     out
+}
+
+/// Returns points in space as text: their coordinates with commas, separated by spaces.
+pub(super) fn in_space(points: &[Point3<f64>]) -> String {
+    let point = |p: &Point3<f64>| format!("{:.2},{:.2},{:.2}", p.x, p.y, p.z);
+    points.iter().map(point).collect::<Vec<_>>().join(" ")
 }
 
 /// Alignment of text to its position.
@@ -225,6 +231,9 @@ pub(super) struct Drawing {
     view: [f64; 4],
     /// Number of decimals of positions.
     decimals: usize,
+    /// Attributes of the picture, and of its next mark.
+    attributes: String,
+    of_next: String,
     marks: String,
 }
 
@@ -234,7 +243,7 @@ impl Drawing {
     pub fn new(width: f64, height: f64) -> Self {
         let size = Vector2::new(width, height);
         let view = [0.0, 0.0, width, height];
-        let mut drawing = Self { size, view, decimals: 1, marks: String::new() };
+        let mut drawing = Self::empty(size, view, 1);
         drawing.rectangle(Vector2::zeros(), size, WHITE, 1.0);
         drawing
     }
@@ -251,12 +260,33 @@ impl Drawing {
         let encoded = STANDARD.encode(bytes);
         // Enlarged pixels must remain visible.
         let rendering = if size.x > width { "pixelated" } else { "auto" };
-        let marks = format!(
+        let mut drawing = Self::empty(size, view, 2);
+        drawing.marks = format!(
             "<image x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\" \
              preserveAspectRatio=\"none\" style=\"image-rendering:{rendering}\" \
              href=\"data:image/{jpeg_or_png};base64,{encoded}\"/>\n"
         );
-        Self { size, view, decimals: 2, marks }
+        drawing
+    }
+
+    fn empty(size: Vector2<f64>, view: [f64; 4], decimals: usize) -> Self {
+        let [attributes, of_next, marks] = [const { String::new() }; 3];
+        Self { size, view, decimals, attributes, of_next, marks }
+    }
+
+    /// Gives the picture an attribute for a script.
+    pub fn set_data(&mut self, name: &str, value: &str) {
+        let _ = write!(self.attributes, " data-{name}=\"{}\"", escaped(value));
+    }
+
+    /// Gives the next mark its points in space, by which a script places it anew.
+    pub fn next_in_space(&mut self, points: &[Point3<f64>]) {
+        self.of_next = format!(" data-at=\"{}\"", in_space(points));
+    }
+
+    /// Marks the next mark as a line from a number in the row of numbers.
+    pub fn next_from_number(&mut self) {
+        self.of_next.push_str(" data-number=\"\"");
     }
 
     /// Returns the picture as an SVG element with a description. It has no ids, so that several may be on one page.
@@ -264,10 +294,11 @@ impl Drawing {
         let [left, top, width, height] = self.view;
         format!(
             "<svg{NAMESPACE} width=\"{}\" height=\"{}\" \
-             viewBox=\"{left} {top} {width} {height}\" role=\"img\" aria-label=\"{}\">\n{}</svg>\n",
+             viewBox=\"{left} {top} {width} {height}\" role=\"img\" aria-label=\"{}\"{}>\n{}</svg>\n",
             self.size.x,
             self.size.y,
             escaped(description),
+            self.attributes,
             self.marks
         )
     }
@@ -345,8 +376,10 @@ impl Drawing {
         let d = self.decimals;
         let _ = writeln!(
             self.marks,
-            "<circle cx=\"{:.d$}\" cy=\"{:.d$}\" r=\"{radius:.d$}\" {style}/>",
-            middle.x, middle.y
+            "<circle cx=\"{:.d$}\" cy=\"{:.d$}\" r=\"{radius:.d$}\" {style}{}/>",
+            middle.x,
+            middle.y,
+            std::mem::take(&mut self.of_next)
         );
     }
 
@@ -416,10 +449,11 @@ impl Drawing {
         let _ = writeln!(
             self.marks,
             "<text x=\"{:.1}\" y=\"{:.1}\" dy=\"0.35em\" text-anchor=\"{anchor}\" \
-             font-family=\"sans-serif\" font-size=\"{size}\" fill=\"{}\"{turn}>{}</text>",
+             font-family=\"sans-serif\" font-size=\"{size}\" fill=\"{}\"{turn}{}>{}</text>",
             at.x,
             at.y,
             color.hex(),
+            std::mem::take(&mut self.of_next),
             escaped(words)
         );
     }
@@ -432,7 +466,7 @@ impl Drawing {
         for p in steps {
             let _ = write!(self.marks, "L{:.d$} {:.d$}", p.x, p.y);
         }
-        let _ = writeln!(self.marks, "{end}\" {style}/>");
+        let _ = writeln!(self.marks, "{end}\" {style}{}/>", std::mem::take(&mut self.of_next));
     }
 
     /// Draws names with their colours, side by side, the first at a point.

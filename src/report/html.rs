@@ -1,11 +1,15 @@
-//! Reports as one self-contained HTML file: no script, no network.
+//! Reports as one self-contained HTML file, which needs no network, and scripts only to zoom and to turn.
 
 use std::fmt::Write as _;
 
 use super::drawing::{NAMESPACE, escaped};
-use super::tree::{Column, Figure, Part, Report, Table};
+use super::tree::{Column, Figure, Part, Question, Report, Section, Table};
 
 const STYLE: &str = include_str!("html.css");
+/// Script that shows pictures to look into.
+const PICTURES: &str = include_str!("pictures.js");
+/// Script that turns the scene.
+const SCENE: &str = include_str!("scene.js");
 
 impl Report {
     /// Returns the report as the text of an HTML file.
@@ -14,16 +18,14 @@ impl Report {
         let title = escaped(&self.title);
         let mut writer = Writer::default();
         let mut contents = String::new();
-        for (section, id) in self.sections.iter().zip(self.ids()) {
-            let heading = escaped(&section.title);
-            let _ = writeln!(contents, "<li><a href=\"#{id}\">{heading}</a></li>");
-            writer.line(&format!(
-                "<section id=\"{id}\" aria-labelledby=\"{id}-heading\">\n\
-                 <h2 id=\"{id}-heading\">{heading}</h2>"
-            ));
-            writer.warnings(&section.warnings);
-            writer.parts(&section.parts);
-            writer.line("</section>");
+        let sections: Vec<(&Section, String)> = self.sections.iter().zip(self.ids()).collect();
+        for of_question in sections.chunk_by(|(a, _), (b, _)| a.question == b.question) {
+            writer.sections(of_question, &mut contents);
+        }
+        let pictures = writer.has_pictures.then_some(PICTURES);
+        let scene = writer.html.contains("data-scene").then_some(SCENE);
+        for script in pictures.into_iter().chain(scene) {
+            writer.line(&format!("<script>\n{script}</script>"));
         }
         let subtitle = match self.subtitle.as_str() {
             "" => String::new(),
@@ -62,12 +64,53 @@ impl Report {
 #[derive(Default)]
 struct Writer {
     html: String,
+    has_pictures: bool,
+}
+
+/// Returns the address of the sections of a question on the page.
+fn question_id(question: Question) -> &'static str {
+    match question {
+        Question::Trust => "question-trust",
+        Question::Where => "question-where",
+        Question::Images => "question-images",
+        Question::Parameters => "question-parameters",
+    }
 }
 
 impl Writer {
     fn line(&mut self, line: &str) {
         self.html.push_str(line);
         self.html.push('\n');
+    }
+
+    /// Writes sections with one question, or without any, and their lines of the contents.
+    fn sections(&mut self, sections: &[(&Section, String)], contents: &mut String) {
+        let question = sections.first().and_then(|(section, _)| section.question);
+        // Writing to a String cannot fail.
+        if let Some(question) = question {
+            let (id, words) = (question_id(question), escaped(question.words()));
+            let _ = write!(contents, "<li><a href=\"#{id}\">{words}</a>\n<ul>\n");
+            self.line(&format!(
+                "<section id=\"{id}\" aria-labelledby=\"{id}-heading\">\n\
+                 <h2 id=\"{id}-heading\">{words}</h2>"
+            ));
+        }
+        let level = if question.is_some() { 3 } else { 2 };
+        for (section, id) in sections {
+            let heading = escaped(&section.title);
+            let _ = writeln!(contents, "<li><a href=\"#{id}\">{heading}</a></li>");
+            self.line(&format!(
+                "<section id=\"{id}\" aria-labelledby=\"{id}-heading\">\n\
+                 <h{level} id=\"{id}-heading\">{heading}</h{level}>"
+            ));
+            self.warnings(&section.warnings);
+            self.parts(&section.parts);
+            self.line("</section>");
+        }
+        if question.is_some() {
+            contents.push_str("</ul></li>\n");
+            self.line("</section>");
+        }
     }
 
     fn warnings(&mut self, warnings: &[String]) {
@@ -92,6 +135,7 @@ impl Writer {
                 }
                 Part::Table(table) => self.table(table),
                 Part::Figure(figure) => self.figure(figure),
+                Part::Pictures(data) => self.pictures(data),
                 Part::Details { summary, parts } => {
                     self.line(&format!("<details>\n<summary>{}</summary>", escaped(summary)));
                     self.parts(parts);
@@ -128,6 +172,17 @@ impl Writer {
         let class = if column.is_number { " class=\"number\"" } else { "" };
         let end = &tag[..2];
         let _ = write!(self.html, "<{tag}{class}>{}</{end}>", escaped(text));
+    }
+
+    /// Writes the data of pictures, from which the script makes the rest.
+    fn pictures(&mut self, data: &serde_json::Value) {
+        self.has_pictures = true;
+        // Nothing in the data can end the element.
+        let data = data.to_string().replace('<', "\\u003c");
+        self.line(&format!(
+            "<div class=\"pictures\">\n<noscript><p>The pictures need JavaScript.</p></noscript>\n\
+             <script type=\"application/json\">{data}</script>\n</div>"
+        ));
     }
 
     fn figure(&mut self, figure: &Figure) {
@@ -170,6 +225,34 @@ mod tests {
         assert!(html.contains("<title>&lt;T&gt;</title>"));
         assert!(html.contains("<p>&lt;b onclick=&quot;x&quot;&gt;&amp;&#39;\u{fffd}</p>"));
         assert!(html.contains("<h2 id=\"section-r-d-heading\">R &amp; D</h2>"));
+    }
+
+    #[test]
+    fn sections_with_one_question_stand_together() {
+        let of = |title: &str, question| Section::new(title, Vec::new()).answering(question);
+        let sections = vec![
+            of("A", Question::Trust),
+            of("B", Question::Trust),
+            of("C", Question::Where),
+            Section::new("D", Vec::new()),
+        ];
+        let html = Report { sections, ..Report::default() }.to_html();
+        assert_eq!(
+            html.matches("<h2 id=\"question-trust-heading\">Can I trust it?</h2>").count(),
+            1
+        );
+        assert_eq!(html.matches("<h3 id").count(), 3);
+        assert!(html.contains("<h2 id=\"section-d-heading\">"));
+        assert_eq!(html.matches("<section").count(), html.matches("</section>").count());
+    }
+
+    #[test]
+    fn data_of_pictures_cannot_end_their_element() {
+        let data = serde_json::json!({ "name": "</script><b>" });
+        let html = page(vec![Part::Pictures(data)]);
+        assert!(html.contains("{\"name\":\"\\u003c/script>\\u003cb>\"}"));
+        assert_eq!(html.matches("<script").count(), 2);
+        assert_eq!(html.matches("</script>").count(), 2);
     }
 
     #[test]

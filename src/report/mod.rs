@@ -2,6 +2,7 @@
 
 mod assessment;
 mod calibration;
+mod certificate;
 mod comparison;
 mod cost;
 mod detection;
@@ -10,6 +11,8 @@ mod evaluation;
 mod figures;
 mod html;
 mod models;
+mod photograph;
+mod pictures;
 mod precalibration;
 mod summary;
 mod text;
@@ -17,14 +20,17 @@ mod tree;
 
 pub use assessment::result_section;
 pub use calibration::calibration_section;
+pub use certificate::{Certified, certificate_section};
 pub use comparison::comparison_section;
 pub use cost::cost_section;
 pub use detection::detection_section;
 pub use evaluation::{cameras_table, evaluation_section, truth_table};
 pub use figures::{
-    OF_RESULT, array_residuals_figure, calibration_figures, comparison_figures, features_figure,
-    micro_images_figure, model_figures, precalibration_figures, radii_figure,
+    OF_RESIDUALS, OF_RESULT, array_residuals_figure, calibration_figures, comparison_figures,
+    features_figure, micro_images_figure, model_figures, precalibration_figures, radii_figure,
 };
 pub use models::{MODELS, models_parts};
+pub use photograph::Photograph;
+pub use pictures::{Picture, PictureSource, pictures_part};
 pub use precalibration::{array_text, precalibration_section, types_text};
-pub use tree::{Cell, Column, Figure, Part, Report, Section, Table, sentence};
+pub use tree::{Cell, Column, Figure, Part, Question, Report, Section, Table, sentence};

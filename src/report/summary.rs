@@ -52,7 +52,7 @@ pub(super) fn summary_parts(
     parts
 }
 
-fn rmse_text(rmse: &Rmse) -> String {
+pub(super) fn rmse_text(rmse: &Rmse) -> String {
     let rho = rmse.rho_px.map_or(String::new(), |rho| format!(", ρ {} px", fixed(rho, 4)));
     format!("(u, v) {} px{rho}; {} features", fixed(rmse.uv_px, 4), rmse.count)
 }

@@ -28,7 +28,7 @@ fn text_of(parts: &[Part], details: bool) -> String {
         let words = match part {
             Part::Verdict { text, .. } | Part::Text(text) => text.trim().to_owned(),
             Part::Table(table) => table.to_string(),
-            Part::Figure(_) => continue,
+            Part::Figure(_) | Part::Pictures(_) => continue,
             Part::Details { .. } if !details => continue,
             Part::Details { summary, parts } => match text_of(parts, details) {
                 inner if inner.is_empty() => continue,

@@ -5,6 +5,7 @@
 use std::fmt::Write as _;
 
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::assessment::Verdict;
 use crate::quantity::{fixed, fixed_signed, signed, significant, two_digits, with_std_dev};
@@ -25,10 +26,42 @@ pub struct Report {
 pub struct Section {
     /// Heading of the section.
     pub title: String,
+    /// Question that it answers. A page shows consecutive sections with the same question together.
+    pub question: Option<Question>,
     /// Parts in order.
     pub parts: Vec<Part>,
     /// Warnings of the stage. A page shows them first in the section; a terminal shows them apart from results.
     pub warnings: Vec<String>,
+}
+
+/// A question that a report answers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Question {
+    /// Whether the camera can be used.
+    Trust,
+    /// How accurate it is over the image and in space.
+    Where,
+    /// What images, white and of boards, show.
+    Images,
+    /// What was estimated, and how.
+    Parameters,
+}
+
+impl Question {
+    /// All questions, in the order of a report.
+    pub const ALL: [Self; 4] = [Self::Trust, Self::Where, Self::Images, Self::Parameters];
+
+    /// Returns the question in words.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Trust => "Can I trust it?",
+            Self::Where => "Where is it good?",
+            Self::Images => "What is wrong in the images?",
+            Self::Parameters => "What are the parameters?",
+        }
+    }
 }
 
 /// A part of a section.
@@ -48,6 +81,8 @@ pub enum Part {
     Table(Table),
     /// A picture.
     Figure(Figure),
+    /// Images of the camera to look into, as data of a page. A terminal does not show them.
+    Pictures(Value),
     /// Parts that are shown on demand, and always in print.
     Details {
         /// Summary of the parts.
@@ -112,7 +147,7 @@ impl Section {
     /// Creates a section.
     #[must_use]
     pub fn new(title: &str, parts: Vec<Part>) -> Self {
-        Self { title: title.to_owned(), parts, warnings: Vec::new() }
+        Self { title: title.to_owned(), parts, ..Self::default() }
     }
 
     /// Returns the address of the section on a page: its title in lower case, words joined by `-`.
@@ -127,8 +162,24 @@ impl Section {
     pub fn tables(&self) -> impl Iterator<Item = &Table> {
         self.parts.iter().filter_map(|part| match part {
             Part::Table(table) => Some(table),
-            Part::Verdict { .. } | Part::Text(_) | Part::Figure(_) | Part::Details { .. } => None,
+            Part::Verdict { .. }
+            | Part::Text(_)
+            | Part::Figure(_)
+            | Part::Pictures(_)
+            | Part::Details { .. } => None,
         })
+    }
+
+    /// Returns the section as the answer to a question: figures first, then tables on demand.
+    #[must_use]
+    pub fn answering(self, question: Question) -> Self {
+        let (mut parts, rest): (Vec<Part>, Vec<Part>) =
+            self.parts.into_iter().partition(|part| matches!(part, Part::Figure(_)));
+        parts.extend(rest.into_iter().map(|part| match part {
+            Part::Table(table) => Part::details(&table.caption.clone(), vec![Part::Table(table)]),
+            part => part,
+        }));
+        Self { parts, question: Some(question), ..self }
     }
 
     /// Returns all figures of the section.
@@ -138,7 +189,7 @@ impl Section {
                 match part {
                     Part::Figure(figure) => figures.push(figure),
                     Part::Details { parts, .. } => collect(parts, figures),
-                    Part::Verdict { .. } | Part::Text(_) | Part::Table(_) => {}
+                    Part::Verdict { .. } | Part::Text(_) | Part::Table(_) | Part::Pictures(_) => {}
                 }
             }
         }

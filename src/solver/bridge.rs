@@ -388,6 +388,11 @@ pub(super) mod ffi {
         pub covariance: Matrix,
         /// Covariance for independent errors of all observations.
         pub independent_covariance: Matrix,
+        /// Part of `covariance` of the free intrinsic parameters due to the independent errors of observations.
+        pub noise_covariance: Matrix,
+        /// Part of `covariance` of the free intrinsic parameters due to the priors, without the systematic errors that their
+        /// σ contain.
+        pub prior_covariance: Matrix,
         /// Degrees of freedom of the variance of each free intrinsic parameter, for shared errors.
         pub freedom: Vec<f64>,
         /// Change of the free intrinsic parameters if a frame were left out, to first order: a row for each frame; NaN if the

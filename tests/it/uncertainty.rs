@@ -1,7 +1,9 @@
 //! Standard deviations against what they predict.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use plenocal::calibration::{CalibrationOptions, Start};
+use plenocal::Estimate;
+use plenocal::assessment::{BudgetLine, Source, assess, uncertainty_budget};
+use plenocal::calibration::{CalibrationOptions, Start, StatedPrior};
 use plenocal::model::{FramePose, Noise, NoiseSource, Observations, Parameter, optics};
 use plenocal::solver::synthesize;
 use rayon::prelude::*;
@@ -221,6 +223,41 @@ fn few_frames_are_taken_as_independent() {
     // A standard deviation from six values is known to 1/√(2·5) = 32 %, if all count the same.
     let worst = six.std_dev_uncertainties(3).into_iter().flatten().fold(0.0, f64::max);
     assert!((0.3..1.0).contains(&worst), "{worst}");
+}
+
+/// The budget splits the variance that is reported, and a prior's part grows with its σ.
+#[test]
+fn the_parts_of_a_budget_add_up() {
+    let noise = Noise { uv_px: 0.1, rho_px: 0.02, centers_px: 0.05 };
+    let budget = |frames: usize, of_f: f64| {
+        let poses: Vec<FramePose> = sixteen_poses().into_iter().take(frames).collect();
+        let observations = synthesize(&true_camera(), &board(), &poses, &noise, 1).unwrap();
+        let mut options = options();
+        let of_f = StatedPrior::Known(Estimate { value: 16.2, std_dev: of_f });
+        options.priors.quantities.insert("F".to_owned(), of_f);
+        let calibration = run(&datasheet_start(), &observations, &options);
+        let space = assess(&calibration, &board()).unwrap().object_space;
+        let std_dev = calibration.uncertainty.intrinsic_std_devs(3)[0].unwrap();
+        let lines = uncertainty_budget(&calibration, space.as_ref());
+        assert!((lines[0].std_dev / std_dev - 1.0).abs() < 1e-12, "{:?}", lines[0]);
+        lines
+    };
+    let part = |line: &BudgetLine, source: Source| {
+        line.parts[Source::ALL.iter().position(|of| *of == source).unwrap()]
+    };
+    for frames in [5, 16] {
+        let lines = budget(frames, 0.5);
+        let names: Vec<&str> = lines.iter().take(6).map(|line| line.name.as_str()).collect();
+        assert_eq!(names, ["F", "D", "d", "f_1", "f_2", "f_3"]);
+        assert_eq!(lines.len(), 12);
+        for line in &lines {
+            let sum: f64 = line.parts.iter().flatten().map(|part| part.powi(2)).sum();
+            assert!((sum.sqrt() / line.std_dev - 1.0).abs() < 0.02, "{line:?}");
+            assert_eq!(part(line, Source::Shared).is_some(), frames == 16);
+        }
+    }
+    let [tight, loose] = [1e-4, 0.5].map(|of_f| part(&budget(5, of_f)[0], Source::Priors).unwrap());
+    assert!(tight < 1e-3 && loose > 3.0 * tight, "{tight} {loose}");
 }
 
 /// ρ = q' − Δc/2ν: with all else known, an error of q'ᵢ goes into fᵢ, and nowhere else.

@@ -62,6 +62,7 @@ fn main() -> ExitCode {
         test!(viewers::shells_accept_their_completions needs SHELLS),
         test!(viewers::groff_formats_the_manual_pages_without_a_warning needs GROFF),
         test!(viewers::a_browser_shows_all_figures needs BROWSER),
+        test!(viewers::a_browser_looks_into_the_pictures_of_a_run needs BROWSER),
     ];
     libtest_mimic::run(&Arguments::from_args(), tests).exit_code()
 }

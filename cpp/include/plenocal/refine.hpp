@@ -190,6 +190,11 @@ struct Uncertainty {
   bool shared = false;
   Matrix covariance;              ///< size x size
   Matrix independent_covariance;  ///< for independent errors, of the same size
+  /// Part of `covariance` of the free intrinsics due to the independent errors of observations.
+  Matrix noise_covariance;
+  /// Part of `covariance` of the free intrinsics due to the priors, without the systematic errors
+  /// that their sigma contains.
+  Matrix prior_covariance;
   /// Degrees of freedom of the variance of each free intrinsic, for shared errors. The relative
   /// uncertainty of the variance is sqrt(2 / freedom), of its root half as much.
   std::vector<double> freedom;

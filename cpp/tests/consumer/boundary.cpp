@@ -129,6 +129,8 @@ void print_layout() {
   MEMBER(Uncertainty, shared);
   MEMBER(Uncertainty, covariance);
   MEMBER(Uncertainty, independent_covariance);
+  MEMBER(Uncertainty, noise_covariance);
+  MEMBER(Uncertainty, prior_covariance);
   MEMBER(Uncertainty, freedom);
   MEMBER(Uncertainty, left_out_changes);
   MEMBER(Uncertainty, frame_shares);

@@ -12,6 +12,7 @@ mod scene;
 mod vectors;
 mod white_images;
 
+pub(super) use features::board_lines;
 pub use features::features_figure;
 pub use models::model_figures;
 pub use vectors::{array_residuals_figure, comparison_figures};
@@ -25,6 +26,10 @@ use crate::model::Board;
 
 /// File names of the figures that are shown beside a result: the scene, and σ in space.
 pub const OF_RESULT: [&str; 2] = ["scene.svg", "object-space.svg"];
+
+/// File names of the figures of residuals.
+pub const OF_RESIDUALS: [&str; 4] =
+    ["residual-vectors.svg", "residual-histograms.svg", "rmse.svg", "center-residuals.svg"];
 
 /// Draws all figures of a calibration. Figures with nothing to show are left out: residuals of centres if
 /// there are no centres, correlations if the camera is fixed, and so on.

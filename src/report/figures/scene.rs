@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use super::super::drawing::{
-    Anchor, BLUE, Color, Drawing, FITTED, INK, ORANGE, TYPE_COLORS, ticks,
+    Anchor, BLUE, Color, Drawing, FITTED, INK, ORANGE, TYPE_COLORS, in_space, ticks,
 };
 use super::super::tree::Figure;
 use crate::calibration::Calibration;
@@ -61,6 +61,20 @@ impl View {
     fn places(&self, points: &[Point3<f64>]) -> Vec<Vector2<f64>> {
         points.iter().map(|p| self.place(p)).collect()
     }
+
+    /// Draws a line.
+    fn line(&self, points: &[Point3<f64>], color: Color, width: f64, drawing: &mut Drawing) {
+        drawing.next_in_space(points);
+        drawing.line(&self.places(points), color, width);
+    }
+
+    /// Draws a surface with its outline.
+    fn surface(&self, outline: &[Point3<f64>], color: Color, opacity: f64, drawing: &mut Drawing) {
+        drawing.next_in_space(outline);
+        drawing.area(&self.places(outline), color, opacity);
+        let around: Vec<_> = outline.iter().chain(outline.first()).copied().collect();
+        self.line(&around, color, 1.4, drawing);
+    }
 }
 
 pub(super) fn scene(calibration: &Calibration, board: &Board) -> Option<Figure> {
@@ -81,6 +95,8 @@ pub(super) fn scene(calibration: &Calibration, board: &Board) -> Option<Figure> 
     points.extend(bounds.corners());
     let (view, height) = View::of(&points);
     let mut drawing = Drawing::new(WIDTH, height.ceil());
+    let ends = [Point3::from(bounds.low), Point3::from(bounds.high)];
+    drawing.set_data("scene", &format!("{TURNED},{RAISED} {}", in_space(&ends)));
     bounds.draw(&view, &mut drawing);
     field_of_view(&sensor, furthest, &view, &mut drawing);
     // Distant boards are drawn first.
@@ -89,10 +105,10 @@ pub(super) fn scene(calibration: &Calibration, board: &Board) -> Option<Figure> 
     order.sort_by(|&a, &b| depth(b).total_cmp(&depth(a)));
     for i in order {
         let color = BOARD_COLORS[i % BOARD_COLORS.len()];
-        let corners = view.places(&boards[i].1);
-        drawing.area(&corners, color, 0.1);
-        closed(&corners, color, 1.4, &mut drawing);
-        drawing.discs(&corners[..1], 2.6, color);
+        let corners = &boards[i].1;
+        view.surface(corners, color, 0.1, &mut drawing);
+        drawing.next_in_space(&corners[..1]);
+        drawing.discs(&view.places(&corners[..1]), 2.6, color);
     }
     draw_camera(&sensor, &lens, &view, &mut drawing);
     numbers(&boards, &view, &mut drawing);
@@ -134,17 +150,9 @@ fn lens_outline(camera: &PlenopticCamera) -> Vec<Point3<f64>> {
         .collect()
 }
 
-fn closed(corners: &[Vector2<f64>], color: Color, width: f64, drawing: &mut Drawing) {
-    let mut around = corners.to_vec();
-    around.extend(corners.first());
-    drawing.line(&around, color, width);
-}
-
 fn draw_camera(sensor: &[Point3<f64>], lens: &[Point3<f64>], view: &View, drawing: &mut Drawing) {
     for outline in [sensor, lens] {
-        let corners = view.places(outline);
-        drawing.area(&corners, INK, 0.25);
-        closed(&corners, INK, 1.4, drawing);
+        view.surface(outline, INK, 0.25, drawing);
     }
     let above = |outline: &[Point3<f64>]| {
         let places = view.places(outline);
@@ -152,19 +160,23 @@ fn draw_camera(sensor: &[Point3<f64>], lens: &[Point3<f64>], view: &View, drawin
         let middle = places.iter().map(|p| p.x).sum::<f64>() / places.len() as f64;
         Vector2::new(middle, top)
     };
+    let ends = [&sensor[..1], &lens[..1]];
     let (sensor, lens) = (above(sensor), above(lens));
     // The words are side by side if there is room, else one above the other.
     let apart = (lens.x - sensor.x).abs() > 90.0;
     let line = sensor.y.min(lens.y) - 14.0;
     let sensor_word = Vector2::new(sensor.x, if apart { sensor.y - 14.0 } else { line });
     let lens_word = Vector2::new(lens.x, if apart { lens.y - 14.0 } else { line - 18.0 });
+    drawing.next_in_space(ends[0]);
     drawing.text(sensor_word, Anchor::Middle, 13.0, "sensor");
+    drawing.next_in_space(ends[1]);
     drawing.text(lens_word, Anchor::Middle, 13.0, "main lens");
 }
 
 fn field_of_view(sensor: &[Point3<f64>], furthest: f64, view: &View, drawing: &mut Drawing) {
     for corner in sensor {
         let end = Point3::from(corner.coords * (furthest / corner.z));
+        drawing.next_in_space(&[*corner, end]);
         drawing.dashed(&view.places(&[*corner, end]), INK, 0.6);
     }
 }
@@ -198,6 +210,8 @@ fn numbers(boards: &[(u32, [Point3<f64>; 4])], view: &View, drawing: &mut Drawin
     for ((i, top), x) in shown.into_iter().zip(places) {
         let color = BOARD_COLORS[i % BOARD_COLORS.len()];
         let number = Vector2::new(x, 20.0);
+        drawing.next_in_space(&boards[i].1);
+        drawing.next_from_number();
         drawing.line(&[number + Vector2::new(0.0, 9.0), top], color, 0.6);
         drawing.colored_text(number, Anchor::Middle, 13.0, color, &boards[i].0.to_string());
     }
@@ -228,7 +242,7 @@ impl Box3 {
         let floor = |x: f64, z: f64| Point3::new(x, high.y, z);
         let wall = |y: f64, z: f64| Point3::new(low.x, y, z);
         let mut line = |from: Point3<f64>, to: Point3<f64>, width: f64| {
-            drawing.line(&view.places(&[from, to]), INK, width);
+            view.line(&[from, to], INK, width, drawing);
         };
         for (z, _) in ticks(low.z, high.z, apart) {
             line(floor(low.x, z), floor(high.x, z), 0.25);
@@ -245,6 +259,7 @@ impl Box3 {
         line(wall(low.y, low.z), wall(high.y, low.z), 0.9);
 
         let mut words = |at: Point3<f64>, shift: Vector2<f64>, anchor: Anchor, words: &str| {
+            drawing.next_in_space(&[at]);
             drawing.text(view.place(&at) + shift, anchor, 12.0, words);
         };
         let below = Vector2::new(4.0, 12.0);
