@@ -51,8 +51,9 @@ pub(super) const BIN_PX: f64 = 0.125;
 /// point spread of 1 px is 0.04 to 0.05 px too large, 2 σ with both.
 const MODEL_ERROR: f64 = 2e-3;
 const OF_MIDDLE: f64 = 1e-3;
-/// Step of the bins that select the starts of a descent.
-const COARSE: usize = 4;
+/// Number of bins that suffice to select the starts of a descent. With a few bins there are discs that fit them exactly but
+/// light only one of them, from which no descent leads anywhere.
+const COARSE: usize = 24;
 /// Descent of the radii. Gauss-Newton steps shrink fast: after a step of a millionth of a pixel nothing is left to
 /// gain. If much is clipped, the valleys are long and bent, and need many small changes of the damping.
 const DESCENT: Descent =
@@ -95,9 +96,10 @@ impl Model<'_> {
 }
 
 impl Profile {
-    /// Returns true if an edge can be fitted to the profile.
-    pub fn shows_an_edge(&self) -> bool {
-        self.fit(self.furthest_px(), 0.0, None).is_some()
+    /// Returns true if the profile determines an edge, whose outer radius is at most 1.4 times `largest`, px.
+    fn determines_an_edge(&self, largest: f64) -> bool {
+        self.bins.len() >= FEWEST_BINS
+            && self.fit(largest, 0.0, None).is_some_and(|edge| edge.std_dev < DETERMINED_PX)
     }
 
     /// Returns the distance of the outermost light, px.
@@ -175,7 +177,8 @@ impl Profile {
         let model = &Model { pixels, fall_off };
         // If much is clipped, the sum of squares has several valleys. So starts all over are tried first, on some of
         // the bins.
-        let bins = self.bins.iter().step_by(COARSE).copied().collect();
+        let step = (self.bins.len() / COARSE).max(1);
+        let bins = self.bins.iter().step_by(step).copied().collect();
         let coarse = Self { bins, bright: Vec::new(), ..self.clone() };
         let mut starts: Vec<(f64, f64, f64)> = (9..=22)
             .map(|i| f64::from(i) * 0.05 * largest)
@@ -298,6 +301,9 @@ const HOT: f64 = 0.01;
 /// Fraction of the samples of a bin at 0 above which the bin is left out if noise is clipped at 0: its mean is then
 /// brighter than its light. An image with a black level has no such bins.
 const BLACK: f64 = 0.02;
+/// Fewest bins that determine an edge, which has four unknowns, and largest standard deviation of its radius, px.
+const FEWEST_BINS: usize = 8;
+const DETERMINED_PX: f64 = 0.3;
 /// Largest increase of black by rounding, in grey levels.
 const ROUNDED: f64 = 0.1;
 /// Fraction of the brightest light (of full scale if light is clipped) up to which light is fitted. The outer radius
@@ -347,10 +353,13 @@ impl RadialHistogram {
         }
     }
 
-    /// Returns the profile without bins that noise at black spoils, unless no edge is left then.
+    /// Returns the profile without bins that noise at black spoils, unless the rest determines no edge.
     pub fn profile(&self) -> Profile {
+        let reach = self.bins.len() as f64 * BIN_PX;
         let without = self.noise_is_clipped().then(|| self.bins_with(BLACK));
-        without.filter(Profile::shows_an_edge).unwrap_or_else(|| self.bins_with(1.0))
+        without
+            .filter(|profile| profile.determines_an_edge(reach))
+            .unwrap_or_else(|| self.bins_with(1.0))
     }
 
     /// Returns the bins with at most this fraction of their samples at black.
@@ -447,5 +456,28 @@ mod tests {
                 assert!(off < 0.02, "{outer}, {inner} px at {amplitude}: off by {off} px");
             }
         }
+    }
+
+    /// Checks light with so much noise that hardly a pixel of the edge is above black in all micro-images.
+    #[test]
+    fn noise_at_black_leaves_an_edge() {
+        let mut histogram = RadialHistogram::new(12.1, 0.0);
+        let seen = Model { pixels: RadialPixels::new(0.0, 12.1), fall_off: None }.light(6.3, 2.5);
+        let mut random = 1_u32;
+        for i in 0..40_000_i32 {
+            let radius = 12.1 * (f64::from(i % 4000) + 0.5) / 4000.0;
+            let noise: f64 = (0..12)
+                .map(|_| {
+                    random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    f64::from(random >> 8) / f64::from(1 << 24) - 0.5
+                })
+                .sum();
+            let light = (3.0 * seen.at(radius) + 0.12 * noise).clamp(0.0, 1.0);
+            histogram.add(radius, (light * 255.0).round() / 255.0);
+        }
+        let clean = histogram.bins_with(BLACK).bins.len();
+        let edge = histogram.profile().fit(12.1, 0.0, None).unwrap();
+        assert!(clean < FEWEST_BINS, "{clean} bins");
+        assert!((edge.outer - 6.3).abs() < 0.6, "{edge:?}");
     }
 }

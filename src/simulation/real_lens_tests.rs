@@ -294,7 +294,7 @@ fn impossible_lenses_are_rejected_by_name() {
         (change("    { semi_diameter_mm = 20.0 },\n", ""), "does not end in air"),
         (
             Prescription::named("tessar").unwrap_err().to_string(),
-            "there are double-gauss, telephoto",
+            "give one of double-gauss, telephoto",
         ),
     ] {
         assert!(error.contains(words), "{error}");

@@ -158,7 +158,7 @@ fn without_widths_of_edges_the_aperture_ratio_is_not_questioned() {
             .starts_with("k,l,u,v,rho,cluster,frame,std_u,std_v,std_rho\n")
     );
     FILES.calibrate(&features, &out).code(4).stdout(contains(
-        "Aperture ratio of the micro-lenses: 1, assumed, since the features state no measured blur",
+        "Aperture ratio of the micro-lenses: 1, assumed, because the features have no measured blur",
     ));
     let (error, std_dev) = error(&out, "f_1");
     assert!(error < -0.05 && error < -10.0 * std_dev, "{error} ± {std_dev}");

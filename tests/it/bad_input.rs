@@ -153,7 +153,9 @@ fn wrong_columns_are_rejected() {
 
 #[test]
 fn values_that_are_not_numbers_are_rejected() {
-    for (value, word) in [("NaN", "not a finite"), ("inf", "not a finite"), ("x", "not a number")] {
+    for (value, word) in
+        [("NaN", "a finite number"), ("inf", "a finite number"), ("x", "not a number")]
+    {
         let line = format!("5,5,{value},100.0,0.1,3,0");
         Spoiled::new().append("features.csv", &line).is_rejected(&["features.csv", "line", word]);
         let line = format!("5,5,100.0,{value}");

@@ -404,7 +404,7 @@ fn a_simulation_has_no_more_given_poses_than_images() {
     let pose = |frame| FramePose { frame, ..true_poses()[0] };
     let plan = |count: u32| DataSet::plan(&settings, Some((0..count).map(pose).collect()));
     assert!(plan(1000).is_ok());
-    assert_refused(plan(1001), &["1001 images of one kind", "the limit is 1000"]);
+    assert_refused(plan(1001), &["1001 images of one kind", "at most 1000"]);
 }
 
 #[test]

@@ -219,7 +219,7 @@ fn a_frame_without_a_board_is_left_out_by_name() {
         .replace("calibration/calibration-01.png", "whites/white-0-n-4.00.png")
         .detect(&[])
         .success()
-        .stderr(contains("frame 1 (white-0-n-4.00.png) is left out: there is no board in it"))
+        .stderr(contains("frame 1 (white-0-n-4.00.png) is left out: the image shows no board"))
         .stdout(contains("2 of 3 frames"));
 }
 

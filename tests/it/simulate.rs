@@ -298,7 +298,7 @@ fn settings_that_cannot_be_simulated_are_rejected_by_name() {
             "translation frame 2: a part of the board is behind the camera",
         ),
         ("boards.max_tilt_deg=90", "a tilt of up to 90 degrees"),
-        ("target.square_mm=0", "squares (square_mm) is 0"),
+        ("target.square_mm=0", "squares of the board (square_mm) is 0"),
         ("target.black=2", "black (2) is not darker than its white"),
         ("imaging.bits=12", "images with 12 bits cannot be written"),
         ("imaging.exposure=nan", "exposure is NaN"),

@@ -38,8 +38,7 @@ pub(super) fn object_space(space: &ObjectSpace) -> Option<Figure> {
     }
     let caption = "σ of a point reconstructed with this camera, relative to the boards of the \
                    calibration, against its position in the middle row of the image (u, px) and \
-                   its distance (mm). It is the error of the calibration, with camera and poses \
-                   together; the noise of an observation adds to it. Distances in orange lie \
+                   its distance (mm). The noise of an observation adds to it. Distances in orange lie \
                    outside the range of the boards: the camera is extrapolated there. Empty cells: \
                    fewer than two micro-lenses image the point."
         .to_owned();

@@ -112,12 +112,9 @@ pub(super) fn scene(calibration: &Calibration, board: &Board) -> Option<Figure> 
     }
     draw_camera(&sensor, &lens, &view, &mut drawing);
     numbers(&boards, &view, &mut drawing);
-    let caption =
-        "The camera and the boards as calibrated, in mm in the camera frame. Numbers are \
-                   frames, a dot marks the first corner of a board, and dashed lines bound the \
-                   field of view of the sensor through the middle of the main lens. Boards at many \
-                   distances and tilts, all over the field of view, determine a camera well."
-            .to_owned();
+    let caption = "Camera and boards in the camera frame, mm. Numbers are frames; a dot marks the \
+                   first corner of a board; dashed lines bound the field of view."
+        .to_owned();
     Some(drawing.figure("scene", caption))
 }
 
