@@ -13,7 +13,7 @@ use crate::solver::Uncertainty;
 pub enum Source {
     /// Independent errors of observations.
     Noise,
-    /// What the observations of a frame, or neighbouring centres, share beyond noise.
+    /// Errors that the observations of a frame, or neighbouring centres, share.
     Shared,
     /// Quantities that the white images determine.
     WhiteImages,

@@ -9,7 +9,7 @@ use crate::finding::Finding;
 use crate::model::{Board, Datasheet};
 use crate::quantity::fixed;
 
-/// What a certificate is about.
+/// Subject of a certificate.
 #[derive(Debug, Clone, Copy)]
 pub struct Certified<'a> {
     /// Name of the camera.

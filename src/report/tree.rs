@@ -38,13 +38,13 @@ pub struct Section {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Question {
-    /// Whether the camera can be used.
+    /// Use of the camera: verdict and evaluation.
     Trust,
-    /// How accurate it is over the image and in space.
+    /// Accuracy over the image and in space.
     Where,
-    /// What images, white and of boards, show.
+    /// White images and images of boards.
     Images,
-    /// What was estimated, and how.
+    /// Estimated parameters.
     Parameters,
 }
 
