@@ -27,7 +27,7 @@ const SETS: [Set; 11] = [
     ),
     set("`keplerian`", "keplerian", &[]),
     set("`r12-a`", "r12-a", &[]),
-    // With a gain of 4, white images would have a noise of 16 grey levels, and show no edge.
+    // With a gain of 4, white images would have a noise of 16 grey levels.
     set(
         "`r12-a`, noise of 4 grey levels, white images not clipped",
         "r12-a",

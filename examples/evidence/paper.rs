@@ -18,8 +18,8 @@ const R12_A: [Set; 1] = [set("a simulated R12", "r12-a", &[])];
 const SEED: u64 = 7101;
 const FOLDS: usize = 5;
 
-/// Row of Table 1: symbol, parameter, unit, factor to the unit, and the paper's columns: initial values, optimised ones and
-/// those of Noury et al.
+/// Row of Table 1: symbol, parameter, unit, factor to the unit, and the columns of the paper: initial values,
+/// optimised values, and values of Noury et al.
 type Row = (&'static str, &'static str, &'static str, f64, [&'static str; 3]);
 
 const TABLE_1: [Row; 9] = [

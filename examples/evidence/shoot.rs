@@ -15,7 +15,7 @@ use plenocal::precalibration::{Precalibration, PrecalibrationOptions, White, pre
 use plenocal::simulation::{DataSet, Settings, Shot};
 use plenocal::{Error, Estimate, Result};
 
-/// White images of a camera, and what they show. Images of boards are taken when they are searched: all of them would take a
+/// White images of a camera, with their pre-calibration. Images of boards are taken when they are searched: all of them would take a
 /// gigabyte.
 pub struct Shoot {
     pub settings: Settings,

@@ -68,8 +68,6 @@ pub struct BudgetLine {
 
 /// Parameters in a budget; the focal lengths of the lens types follow.
 const SHOWN: [&str; 3] = ["F", "D", "d"];
-/// Number of distances of points.
-const DISTANCES: usize = 3;
 
 /// Returns the budget of F, D, d and fᵢ, and of the points with the median σ over the image at the nearest, a middle and the
 /// furthest distance of the boards, across the axis and along it. Parameters that are fixed or not determined have no line.
@@ -97,7 +95,7 @@ pub fn uncertainty_budget(
     let mut lines: Vec<BudgetLine> = (0..free.len()).filter_map(of_parameter).collect();
     let place = |line: &BudgetLine| SHOWN.iter().position(|name| *name == line.name);
     lines.sort_by_key(|line| place(line).unwrap_or(SHOWN.len()));
-    for distance in space.map(spread_distances).unwrap_or_default() {
+    for distance in space.map(ObjectSpace::spread_distances).unwrap_or_default() {
         let at = fixed(distance.distance_mm, 1);
         let across = parts.most_across(median_point(distance, 0));
         let along = median_point(distance, 1).by_intrinsics.row(2).transpose();
@@ -105,13 +103,6 @@ pub fn uncertainty_budget(
         lines.push(parts.line(format!("point at {at} mm, along"), None, "mm", &along));
     }
     lines
-}
-
-/// Returns the nearest, a middle and the furthest distance of the boards.
-fn spread_distances(space: &ObjectSpace) -> Vec<&Distance> {
-    let within: Vec<&Distance> = space.distances.iter().filter(|d| d.within_boards).collect();
-    let count = within.len().min(DISTANCES);
-    (0..count).map(|i| within[i * (within.len() - 1) / (count - 1).max(1)]).collect()
 }
 
 /// Returns the point with the median σ in a direction.
@@ -167,7 +158,7 @@ impl<'a> Parts<'a> {
                 _ => whites += by,
             }
         }
-        // The scatter of frames contains the noise; what it shows beyond is shared. Along combinations of parameters, a few
+        // The scatter of frames contains the noise; the rest is shared. Along combinations of parameters, a few
         // frames can scatter less than noise by chance.
         let scatter = (total - whites - ratio - models - priors).max(0.0);
         let (noise, shared) = if self.uncertainty.shared {

@@ -19,6 +19,8 @@ use crate::solver::{self, Uncertainty};
 /// Numbers of points over the width and the height of the image.
 const GRID: (u32, u32) = (9, 7);
 const DISTANCES: u32 = 7;
+/// Number of distances in a summary.
+const SPREAD: usize = 3;
 /// Relative difference below which boards are at one distance.
 const ALIKE: f64 = 0.01;
 /// Extent of the distances beyond the boards, as a fraction of their distance.
@@ -98,6 +100,13 @@ impl ObjectSpace {
     /// Returns all points at the distances of the boards.
     pub(super) fn points_within_boards(&self) -> impl Iterator<Item = &PointTrust> {
         self.distances.iter().filter(|d| d.within_boards).flat_map(|d| &d.points)
+    }
+
+    /// Returns the nearest, a middle and the furthest distance of the boards.
+    pub(crate) fn spread_distances(&self) -> Vec<&Distance> {
+        let within: Vec<&Distance> = self.distances.iter().filter(|d| d.within_boards).collect();
+        let count = within.len().min(SPREAD);
+        (0..count).map(|i| within[i * (within.len() - 1) / (count - 1).max(1)]).collect()
     }
 }
 

@@ -1,4 +1,4 @@
-//! The certificate: what a calibration is worth, on one page to print.
+//! Certificate of a calibration, on one page to print.
 
 use super::assessment::verdict_parts;
 use super::summary::rmse_text;
@@ -39,9 +39,9 @@ pub fn certificate_section(of: &Certified) -> Section {
     parts.push(Part::Table(subject_table(of)));
     parts.push(Part::Table(budget_table(&lines)));
     let shared = if of.calibration.uncertainty.shared {
-        "Shared errors are what the scatter of the frames shows beyond noise."
+        "Shared errors are the scatter of the frames beyond noise."
     } else {
-        "Fewer than six frames do not show what their observations share, so σ lacks it."
+        "Fewer than six frames do not determine the errors that their observations share; σ does not contain them."
     };
     parts.push(Part::Text(format!(
         "All σ are standard uncertainties (k = 1), due to all sources and to each; squares add up. Points have the \

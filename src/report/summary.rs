@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 
 use super::tree::{Cell, Column, Figure, Part, Table};
-use crate::assessment::{Assessment, Distance, Evaluation, ParameterError};
+use crate::assessment::{Assessment, Evaluation, ObjectSpace, ParameterError};
 use crate::calibration::Calibration;
 use crate::model::{Parameter, Rmse};
 use crate::quantity::{display_unit, fixed, fixed_signed};
@@ -11,8 +11,6 @@ use crate::quantity::{display_unit, fixed, fixed_signed};
 /// Parameters that are shown, in this order, with the focal lengths of the lens types after the third.
 const SHOWN: [&str; 4] = ["F", "D", "d", "e_z"];
 const TILT: [&str; 2] = ["theta_x", "theta_y"];
-/// Number of distances at which σ in space is shown.
-const DISTANCES: usize = 3;
 
 /// Returns the main parameters, the errors, σ in space, and the results of an evaluation; with the figures of the scene and of
 /// σ in space.
@@ -35,7 +33,7 @@ pub(super) fn summary_parts(
         parts.push(Part::Text(format!("Held-out boards: {held_out} in {frames} frames.")));
     }
     let space = assessment.object_space.as_ref();
-    parts.extend(space.map(|space| Part::Table(space_table(&space.distances))));
+    parts.extend(space.map(|space| Part::Table(space_table(space))));
     parts.extend(of_space.map(Part::Figure));
     if let Some(displacements) = first.and_then(|result| result.translation.as_ref()) {
         let relative = displacements.relative();
@@ -130,8 +128,7 @@ fn tilt(calibration: &Calibration) -> Option<[Cell; 4]> {
 }
 
 /// Returns the table of σ of points at the nearest, a middle and the furthest distance of the boards.
-fn space_table(distances: &[Distance]) -> Table {
-    let within: Vec<&Distance> = distances.iter().filter(|d| d.within_boards).collect();
+fn space_table(space: &ObjectSpace) -> Table {
     let mut table = Table::new(
         "σ of a point in space, median over the image: from the calibration, and from the noise of \
          one corner",
@@ -143,9 +140,7 @@ fn space_table(distances: &[Distance]) -> Table {
             Column::of("along", "mm"),
         ],
     );
-    let count = within.len().min(DISTANCES);
-    for i in 0..count {
-        let distance = within[i * (within.len() - 1) / (count - 1).max(1)];
+    for distance in space.spread_distances() {
         let [[across, along], _] = distance.summary_mm();
         let [noise_across, noise_along] = distance.noise_mm();
         let numbers = [across, along, noise_across, noise_along];
