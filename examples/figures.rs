@@ -41,6 +41,14 @@ fn side_by_side(images: &[GrayImage], (u, v): (u32, u32)) -> GrayImage {
     all
 }
 
+/// Adds a style with which a drawing exchanges light and dark where the reader prefers dark.
+fn light_or_dark(svg: &str) -> String {
+    const STYLE: &str = "\n<style>@media (prefers-color-scheme: dark) { svg { filter: invert(0.93) \
+                         hue-rotate(180deg); } }</style>";
+    let (head, content) = svg.split_at(svg.find('>').map_or(0, |end| end + 1));
+    format!("{head}{STYLE}{content}")
+}
+
 fn main() -> Result<()> {
     let folder = std::env::args().nth(1).unwrap_or_else(|| "docs/figures".to_owned());
     let settings = Settings::preset(PRESETS[0].name, &["rays=256".to_owned()])?;
@@ -86,7 +94,7 @@ fn main() -> Result<()> {
 
     let mut output = OutputFolder::new(Path::new(&folder))?;
     for (name, figure) in [
-        ("radii.svg", report::radii_figure(&result).svg),
+        ("radii.svg", light_or_dark(&report::radii_figure(&result).svg)),
         ("micro-images.svg", found.svg),
         ("features.svg", features),
     ] {

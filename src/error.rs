@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// A file could not be opened or read.
-    #[error("cannot read {}: {source}", path.display())]
+    #[error("cannot read {}: {}", path.display(), reason(source))]
     Read {
         /// Path of the file.
         path: PathBuf,
@@ -17,7 +17,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file could not be created, written or renamed.
-    #[error("cannot write {}: {source}", path.display())]
+    #[error("cannot write {}: {}", path.display(), reason(source))]
     Write {
         /// Path of the file.
         path: PathBuf,
@@ -50,7 +50,7 @@ pub enum Error {
         feature: String,
     },
     /// A frame with too few board corners for a pose.
-    #[error("frame {frame} shows {corners} board corner(s), but a pose needs at least {needed}")]
+    #[error("a pose needs at least {needed} board corners, but frame {frame} shows {corners}")]
     TooFewCorners {
         /// Number of the frame.
         frame: u32,
@@ -120,6 +120,15 @@ pub enum Observed {
         /// Index along v.
         l: i32,
     },
+}
+
+/// Returns the reason of a system error in words, without its number.
+fn reason(source: &std::io::Error) -> String {
+    let text = source.to_string();
+    match text.rfind(" (os error ") {
+        Some(end) => text[..end].to_owned(),
+        None => text,
+    }
 }
 
 /// Largest number of digits that is legible.

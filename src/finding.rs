@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use serde::ser::SerializeStruct;
 use serde::{Serialize, Serializer};
 
-use crate::quantity::{Estimate, display_unit, fixed, fixed_signed};
+use crate::quantity::{Estimate, counted, display_unit, fixed, fixed_signed};
 
 /// Consequence of a finding for the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -288,19 +288,19 @@ issues! {
 
     /// Image files are JPEG.
     LossyCompression "lossy-compression" { images: usize, first: String } =>
-        format!("{images} image(s) are JPEG (first: {first}): compression shifts and widens edges, and biases d, fᵢ and m by a few per cent"),
+        format!("{} in JPEG format (first: {first}): compression shifts and widens edges, and biases d, fᵢ and m by a per cent or more", counted(*images, "image")),
         "save the images in a lossless format (PNG, TIFF)";
     /// Image files declare samples that are not linear in light.
     ImageProfile "image-profile-not-linear" { images: usize, first: String, profile: String } =>
-        format!("{images} image file(s) declare samples that are not linear in light (first: {first}, {profile}); the samples are used unchanged"),
+        format!("{} with a profile that declares samples not linear in light (first: {first}, {profile}); the samples are used unchanged", counted(*images, "image file")),
         "export the images without gamma or sRGB; if the samples are linear, remove the profile from the files";
     /// Image files declare that they are to be turned or mirrored.
     ImageOrientation "image-orientation" { images: usize, first: String, orientation: u64 } =>
-        format!("{images} image file(s) have an orientation tag (first: {first}, orientation {orientation}); the pixels are used as stored"),
+        format!("{} with an orientation tag (first: {first}, orientation {orientation}); the pixels are used as stored", counted(*images, "image file")),
         "save all white images and boards in the orientation of the sensor, and do not rotate them with other software";
     /// TIFF files have several pages.
     SeveralPages "several-pages" { images: usize, first: String, pages: usize } =>
-        format!("{images} TIFF file(s) have several pages (first: {first}, {pages} pages); only the first page is read"),
+        format!("{} with several pages (first: {first}, {pages} pages); only the first page is read", counted(*images, "TIFF file")),
         "save the required page as a separate file";
     /// A maker's calibration has values that are not used.
     MakerValuesUnused "maker-values-unused" { distortion: Option<String>, rotation_rad: f64 } =>
@@ -348,7 +348,7 @@ issues! {
         "check the f-number of the main lens (f_number): it applies to this image and to the boards";
     /// m and q' come from straight lines, since the light shows no discs.
     NoDiscs "no-discs" { m_error: f64, q_prime_error: f64 } =>
-        format!("the light in the micro-images does not fit two discs (noise clipped at black, or a point spread of 1.6 px or more): m and q' come from straight lines through the radii, and errors of 2 % in the f-numbers cause errors of {:.0} % in m and {:.0} % in q'", 100.0 * m_error, 100.0 * q_prime_error),
+        format!("the light in the micro-images does not fit two discs (noise clipped at black, or a wide point spread): m and q' follow from the radii alone, and f-numbers that are wrong by 2 % change m by {:.0} % and q' by {:.0} %", 100.0 * m_error, 100.0 * q_prime_error),
         "expose the white images longer at a lower gain, keep their black level above 0, and check that they are sharp";
     /// The angular response of the pixels cannot be measured.
     ResponseUnknown "response-unknown" =>
@@ -356,7 +356,7 @@ issues! {
         "take white images without clipped samples";
     /// Micro-images at the corners of the image are not round.
     ObliquePupil "oblique-pupil" { narrower: f64 } =>
-        format!("the micro-images at the corners of the image are {:.0} % narrower radially than tangentially: the main lens vignettes oblique light, and its pupil is not a disc there; distortion, field curvature and the tilt of the array can be off by several σ", 100.0 * narrower),
+        format!("the micro-images at the corners of the image are {:.0} % narrower radially: the main lens vignettes there, and distortion, field curvature and the tilt of the array can be off by several σ", 100.0 * narrower),
         "take boards and white images at a larger f-number, or keep boards away from the border of the image";
     /// Few micro-images have the size of their lens type.
     LensTypesDisagree "lens-types-disagree" { agreement: f64 } =>
@@ -386,11 +386,11 @@ issues! {
         reason, NONE;
     /// The samples were rounded to few levels.
     FewLevels "few-levels" { images: usize, fewest: u32, frames: Vec<u32> } =>
-        format!("{images} board image(s) contain few grey levels, in the worst case {fewest} (frames {}): rounding shifts edges", list(frames)),
+        format!("{} with few grey levels, in the worst case {fewest} (frames {}): rounding shifts edges", counted(*images, "board image"), list(frames)),
         "export the images with the full bit depth of the camera";
     /// Few frames for a calibration.
     FewBoards "few-boards" { frames: usize } =>
-        format!("{frames} frame(s) are few for a calibration"),
+        format!("the calibration has only {}", counted(*frames, "frame")),
         "take ten frames or more, at several distances and tilts";
     /// The edges of one frame are wider than the others'.
     MotionBlur "motion-blur" { motion_px: f64 } =>
@@ -463,7 +463,8 @@ issues! {
         "no micro-image can be used", NONE;
     /// Bright and dark squares do not differ.
     Uniform "uniform" =>
-        "the image shows no board: its brightness is uniform", NONE;
+        "the image shows no board: its brightness is uniform",
+        "remove the image from the boards if it is a white image; otherwise light the board more evenly and brighter";
     /// Too few corners were found for a board.
     TooFewCorners "too-few-corners" { corners: usize } =>
         format!("{corners} corners are too few for a board"), NONE;
@@ -509,7 +510,7 @@ issues! {
         "excluded on request", NONE;
     /// The frame has too few corners for a pose.
     PoseTooFewCorners "pose-too-few-corners" { corners: usize, fewest: usize } =>
-        format!("{corners} corner(s) are too few; a pose needs {fewest}"), NONE;
+        format!("it shows only {}, but a pose needs {fewest}", counted(*corners, "corner")), NONE;
     /// The corners of the frame lie on one line.
     PoseCollinear "pose-collinear" =>
         "its corners lie on one line", NONE;
@@ -546,7 +547,7 @@ issues! {
         "choose a robust loss (loss) to reduce their weight";
     /// Features without σ lie far from their projections.
     OutlyingUnweighted "outlying-unweighted" { features: usize, all: usize, scale: f64 } =>
-        format!("{features} of {all} features lie more than 10 times as far from their projections as usual; since features have no σ, the refinement is repeated with Huber's loss at a scale of {scale:.2}, estimated from the residuals"),
+        format!("{features} of {all} features, which have no σ, lie more than 10 times as far from their projections as usual: the refinement is repeated with Huber's loss (scale {scale:.2}, from the residuals)"),
         "check these features in residuals.csv, or choose a loss";
     /// The array reaches far beyond the image.
     ArrayBeyondImage "array-beyond-image" { array: [i32; 2], extent_px: [f64; 2], image_px: [u32; 2] } =>
@@ -593,15 +594,15 @@ issues! {
         "see σ by distance in the report of the calibration, or calibrate with boards at such distances";
     /// Virtual points name a micro-lens outside the array.
     OutsideArray "outside-array" { points: usize, first: usize } =>
-        format!("{points} virtual point(s) name a micro-lens outside the array (first: point {first}) and have no metric point"),
+        format!("{} at a micro-lens outside the array (first: point {first}), without a metric point", counted(*points, "virtual point")),
         "check that k and l count from 0 as in centers.csv of this camera";
     /// Virtual points lie far from the micro-image with their index.
     FarFromMicroImage "far-from-micro-image" { points: usize, first: usize, pitch_px: f64 } =>
-        format!("{points} virtual point(s) lie more than a pitch ({pitch_px:.1} px) from the centre of their micro-image (k, l) (first: point {first})"),
+        format!("{} more than a pitch ({pitch_px:.1} px) from the centre of the micro-image (k, l) (first: point {first})", counted(*points, "virtual point")),
         "check that k, l, u and v are of this camera, in px of the raw image, and not swapped";
     /// Virtual depths have a sign that images of the camera cannot have.
     DepthsOfOtherSign "depths-of-other-sign" { points: usize, first: usize, galilean: bool } =>
-        format!("{points} virtual depth(s) are not {} (first: point {first}), but the main lens of this {} camera forms its images {} the array", if *galilean { "positive" } else { "negative" }, if *galilean { "Galilean" } else { "Keplerian" }, if *galilean { "behind" } else { "in front of" }),
+        format!("{} with the wrong sign (first: point {first}): the main lens of this {} camera forms its images {} the array", counted(*points, "virtual depth"), if *galilean { "Galilean" } else { "Keplerian" }, if *galilean { "behind" } else { "in front of" }),
         "check the sign: virtual depths are distances from the array, positive behind it";
     /// The σ of points is not known, since no σ of virtual depths is stated.
     PointsWithoutSigma "points-without-sigma" =>
@@ -613,7 +614,7 @@ issues! {
         "check that the features are of this camera, and that their indices count from 0 as in centers.csv";
     /// The arrays of two cameras are counted in different ways.
     CountedOtherwise "counted-otherwise" { first: String, second: String } =>
-        format!("the two cameras number their micro-lenses differently, the first on {first}, the second on {second}: they are compared by position, but features and centres of one camera do not apply to the other"),
+        format!("the cameras number their micro-lenses differently, the first on {first}, the second on {second}: they are compared by position, but cannot exchange features and centres"),
         NONE;
     /// Residuals are far larger than noise.
     BadFit "bad-fit" { rms_px: f64, micro_image_pitch_px: f64 } =>
@@ -686,7 +687,7 @@ issues! {
         format!("the residuals of one lens type are {ratio:.1} times as large as of another"), NONE;
     /// Few frames.
     FewFrames "few-frames" { frames: usize } =>
-        format!("{frames} frame(s) are too few to estimate the errors that all features of a frame share: σ treats all observations as independent"),
+        format!("{} cannot show the errors that all features of a frame share: σ treats all observations as independent", counted(*frames, "frame")),
         "take more frames";
     /// Few tilted boards.
     FewTilts "few-tilts" { tilted: usize, frames: usize } =>

@@ -66,6 +66,13 @@ impl fmt::Display for Estimate {
     }
 }
 
+/// Formats a number of things: `1 frame`, `3 frames`.
+#[must_use]
+pub fn counted(number: usize, noun: &str) -> String {
+    let ending = if number == 1 { "" } else { "s" };
+    format!("{number} {noun}{ending}")
+}
+
 /// Returns the display unit of a parameter, and the factor to it.
 pub(crate) fn display_unit(name: &str, unit: &'static str) -> (&'static str, f64) {
     match name {

@@ -139,7 +139,7 @@ fn models(compared: &[(String, ModelComparison)]) -> String {
             let (mean, std_error) = without.mean_growth();
             let growth = format!("{} ± {}", signed(100.0 * mean, 1), fixed(100.0 * std_error, 1));
             let growth = match without.worth() {
-                Worth::EarnsItsKeep => format!("**{growth}**"),
+                Worth::Needed => format!("**{growth}**"),
                 _ => growth,
             };
             let moved = without.focal_length_change.1?;

@@ -9,6 +9,7 @@ use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
 use crate::model::{BentBoard, Board, BoardShape, Parameter, PlenopticCamera};
+use crate::quantity::counted;
 use crate::solver::{
     self, CostOptions, Loss, LossKind, MicroPixel, Problem, Projected, Ray, SolverFeature,
     SolverOptions, VirtualPoint, metric_points, micro_images_at, pixel_rays, virtual_depths,
@@ -153,9 +154,10 @@ pub fn compare_cameras(
     let alike = second.with_array_of(first).filter(|second| second.lens_types() == types);
     let second = alike.ok_or_else(|| {
         Error::invalid(format!(
-            "the first camera has {} and {types} lens type(s), but the second has {} and {}: they \
-             belong to different cameras",
+            "the first camera has {} and {}, but the second has {} and {}: they belong to different \
+             cameras",
             first.lattice,
+            counted(types, "lens type"),
             second.lattice,
             second.lens_types()
         ))

@@ -84,19 +84,19 @@ impl fmt::Display for Group {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Worth {
     /// Frames fit worse without the group.
-    EarnsItsKeep,
+    Needed,
     /// Frames fit as well without the group.
     NoDifference,
     /// Frames fit better without the group.
-    Harms,
+    Harmful,
 }
 
 impl fmt::Display for Worth {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::EarnsItsKeep => "earns its keep",
-            Self::NoDifference => "makes no difference",
-            Self::Harms => "harms",
+            Self::Needed => "needed",
+            Self::NoDifference => "no difference",
+            Self::Harmful => "harmful",
         })
     }
 }
@@ -144,17 +144,17 @@ impl WithoutGroup {
         (mean, (square / (count - 1.0) / count).sqrt())
     }
 
-    /// Returns the verdict. A mean growth of more than one per cent and two standard errors earns its keep; an equal decrease
-    /// harms.
+    /// Returns the verdict: a group is needed if the mean growth exceeds one per cent and two standard errors, and harmful if
+    /// the decrease does.
     #[must_use]
     pub fn worth(&self) -> Worth {
         let (mean, std_error) = self.log_growth();
         if mean.abs() < NOTICEABLE.max(CLEAR * std_error) {
             Worth::NoDifference
         } else if mean > 0.0 {
-            Worth::EarnsItsKeep
+            Worth::Needed
         } else {
-            Worth::Harms
+            Worth::Harmful
         }
     }
 
@@ -162,7 +162,7 @@ impl WithoutGroup {
     #[must_use]
     pub fn moves_unasked(&self) -> bool {
         let moved = self.focal_length_change.1.is_some_and(|std_devs| std_devs.abs() > MOVED);
-        moved && self.worth() != Worth::EarnsItsKeep
+        moved && self.worth() != Worth::Needed
     }
 }
 
@@ -346,8 +346,8 @@ fn check(
     }
     if frames < MIN_FRAMES {
         return Err(Error::invalid(format!(
-            "models are not compared: {frames} frame(s) are too few for a significant difference; \
-             take at least {MIN_FRAMES}"
+            "models are not compared: a significant difference needs at least {MIN_FRAMES} frames, not \
+             {frames}"
         )));
     }
     if folds < 2 || folds > frames {

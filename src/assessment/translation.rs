@@ -139,7 +139,7 @@ impl Displacements {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::finding::Issue;
+    use crate::finding::{Issue, Severity};
 
     #[test]
     fn errors_are_those_of_steps_and_missing_frames_make_longer_steps() {
@@ -173,6 +173,8 @@ mod tests {
         let [scale] = &of(&[9.0, 9.01, 8.99, 9.0])[..] else { panic!("no scale") };
         let Issue::StepScale { ratio, step_mm, .. } = scale.issue else { panic!("{scale}") };
         assert!((ratio - 0.9).abs() < 1e-9 && (step_mm - 10.0).abs() < 1e-12);
+        assert_eq!(scale.severity, Severity::Unusable);
+        assert_eq!(of(&[9.8, 9.81, 9.79, 9.8])[0].severity, Severity::Caution);
         let text = scale.to_string();
         assert!(text.contains("3.3333 mm") && text.contains("9.0000 mm"), "{text}");
         // An image is missing between frames 1 and 2.

@@ -15,6 +15,7 @@ use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue, list};
 use crate::model::{BentBoard, Board, FramePose, Observations, PlenopticCamera};
 use crate::precalibration::{MicroImageArray, check_stated_pitch, fit_grid};
+use crate::quantity::counted;
 use crate::solver::CostOptions;
 
 /// Solution at which a cost is evaluated.
@@ -193,7 +194,7 @@ fn check_same_array(solution: &PlenopticCamera, camera: &PlenopticCamera) -> Res
         return Ok(());
     }
     let of = |camera: &PlenopticCamera| {
-        format!("{} type(s) of micro-lenses on {}", camera.lens_types(), camera.lattice)
+        format!("{} on {}", counted(camera.lens_types(), "lens type"), camera.lattice)
     };
     Err(Error::invalid(format!(
         "the camera of the solution has {}, but the camera of the observations has {}: give a \

@@ -10,6 +10,7 @@ use clap::Args;
 use plenocal::image::Color;
 use plenocal::io::{self, CommonFormat, DraftText, OutputFolder, ProjectDraft, SortedImages};
 use plenocal::model::{Board, Datasheet};
+use plenocal::quantity::counted;
 use plenocal::simulation::Settings;
 use plenocal::{Error, Result};
 
@@ -67,7 +68,7 @@ Names of files and folders:
 
 Examples:
   plenocal init images --out project.toml
-  plenocal init images --preset r12-a --board 9x5x10 --out project.toml
+  plenocal init images --preset r12-a --board 8x5x10 --out project.toml
   plenocal init images --preset r12-b --board 8x5x20 --step 10 --color bayer-rggb --out project.toml
   plenocal run project.toml --out results";
 
@@ -98,7 +99,7 @@ fn board(text: &str) -> std::result::Result<Board, String> {
     };
     let ((columns, rows), square_mm) = parsed.ok_or_else(|| {
         format!(
-            "'{text}' is not a board: write 9x5x10 for 9 x 5 inner corners and squares of 10 mm"
+            "'{text}' is not a board: write 8x5x10 for 8 x 5 inner corners and squares of 10 mm"
         )
     })?;
     let board = Board { columns, rows, square_mm };
@@ -170,16 +171,16 @@ fn found_color(images: &SortedImages, format: Option<CommonFormat>) -> Result<Op
 fn summary(draft: &ProjectDraft, drafted: &DraftText, color_is_stated: bool, out: &Path) -> String {
     let images = draft.images;
     let mut text = format!("{}:\n", out.display());
-    for (count, what) in [
-        (images.whites.len(), "white image(s)"),
-        (images.devignetting.len(), "devignetting image(s)"),
-        (images.calibration.len(), "board(s) to calibrate with"),
-        (images.evaluation.len(), "board(s) to evaluate with"),
-        (images.translation.len(), "image(s) of a translation"),
-        (images.unsorted.len(), "image(s) with unclear names"),
+    for (count, noun, purpose) in [
+        (images.whites.len(), "white image", ""),
+        (images.devignetting.len(), "devignetting image", ""),
+        (images.calibration.len(), "board", " for calibration"),
+        (images.evaluation.len(), "board", " for evaluation"),
+        (images.translation.len(), "image", " of a translation"),
+        (images.unsorted.len(), "image", " with an unclear name"),
     ] {
         if count > 0 {
-            let _ = writeln!(text, "  {count:>4} {what}");
+            let _ = writeln!(text, "  {}{purpose}", counted(count, noun));
         }
     }
     if !images.skipped.is_empty() {

@@ -76,7 +76,7 @@ enum Command {
 
 const AFTER_HELP: &str = "\
 From images to a report:
-  plenocal init images --preset r12-a --board 9x5x10 --out project.toml
+  plenocal init images --preset r12-a --board 8x5x10 --out project.toml
   plenocal run project.toml --out results
 
 The same step by step:

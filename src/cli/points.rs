@@ -74,6 +74,9 @@ Examples:
 /// Number of pixels of a map whose points are in memory at once.
 const AT_ONCE: usize = 1 << 16;
 
+/// Columns of points.csv with standard deviations and covariances.
+const SPREAD_COLUMNS: &str = ",sigma_x_mm,sigma_y_mm,sigma_z_mm,cov_xy_mm2,cov_xz_mm2,cov_yz_mm2";
+
 /// Number of copies of an image in memory: the file and the samples.
 const IMAGE_COPIES: f64 = 2.0;
 /// Memory of a row of a CSV file, bytes: 450 were measured with a million rows.
@@ -134,7 +137,7 @@ fn stage(
     let mut csv = if with_csv { Some(output.begin("points.csv")?) } else { None };
     if let Some(file) = &mut csv {
         let [first, second] = names;
-        let std_devs = if has_std_devs { ",sigma_x_mm,sigma_y_mm,sigma_z_mm" } else { "" };
+        let std_devs = if has_std_devs { SPREAD_COLUMNS } else { "" };
         writeln!(file, "{first},{second},x_mm,y_mm,z_mm{std_devs}").map_err(|e| file.error(e))?;
     }
     for piece in &mut cloud.pieces {
@@ -327,9 +330,10 @@ fn write_csv(out: &mut dyn Write, piece: &Piece, has_std_devs: bool) -> std::io:
     for ((point, a), b) in piece.points.iter().zip(firsts).zip(seconds) {
         let Some(point) = point else { continue };
         let ([x, y, z], [sx, sy, sz]) = (point.point_mm, point.std_devs_mm());
+        let [_, xy, xz, _, _, yz, ..] = point.covariance_mm2;
         write!(out, "{a},{b},{x:.6},{y:.6},{z:.6}")?;
         if has_std_devs {
-            write!(out, ",{sx:.6},{sy:.6},{sz:.6}")?;
+            write!(out, ",{sx:.6},{sy:.6},{sz:.6},{xy:.3e},{xz:.3e},{yz:.3e}")?;
         }
         writeln!(out)?;
     }

@@ -12,6 +12,7 @@ use plenocal::precalibration::{
     ArrayMeasurement, Precalibration, PrecalibrationOptions, RadiusEstimator, White,
     array_findings, fit_grid, measure_array, precalibrate,
 };
+use plenocal::quantity::counted;
 use plenocal::report::{self, Figure};
 use plenocal::{Error, Finding, Result, Subject};
 use rayon::prelude::*;
@@ -173,9 +174,9 @@ fn of_raytrix(
         io::write_measured_centers(out, &array, |c| maker.lens_type(width, height, place(c)))
     })?;
     let text = format!(
-        "{}\n{} lens type(s), numbered from 1 in the order of the file.",
+        "{}\n{}, numbered from 1 in the order of the file.",
         report::array_text(&array),
-        maker.lens_types
+        counted(maker.lens_types, "lens type")
     );
     Ok((text, io::array_document(&array)))
 }

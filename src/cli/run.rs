@@ -74,7 +74,7 @@ pub struct Arguments {
 
 const EXAMPLES: &str = "\
 Examples:
-  plenocal init images --preset r12-a --board 9x5x10 --out project.toml
+  plenocal init images --preset r12-a --board 8x5x10 --out project.toml
   plenocal run project.toml --out results
   plenocal run project.toml --out results --exclude 3,7
   plenocal run project.toml --out results --set calibration.loss=cauchy --set board.square_mm=10.02

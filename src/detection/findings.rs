@@ -4,7 +4,7 @@ use super::edge_width::{MOVED, MOVED_PX2};
 use super::flat_field::unlike;
 use super::{DetectedFrame, MicroImages};
 use crate::checks::boards as checks;
-use crate::finding::Finding;
+use crate::finding::{Finding, Issue};
 use crate::model::{Board, Subset};
 use crate::quantity::Estimate;
 
@@ -15,8 +15,11 @@ pub(super) fn findings(frames: &[DetectedFrame], board: &Board, subset: Subset) 
         Some(Finding::left_out(frame.frame, Some(&frame.name), why))
     };
     // These come first, since other light may be the reason why frames are left out.
-    let compared =
-        frames.iter().filter_map(|f| Some((f.frame, f.name.as_str(), f.likeness.as_ref()?)));
+    let compared = frames
+        .iter()
+        // An image without a board, such as a white image, need not be of the same exposure.
+        .filter(|f| !matches!(f.result, Err(Issue::Uniform)))
+        .filter_map(|f| Some((f.frame, f.name.as_str(), f.likeness.as_ref()?)));
     let mut findings = unlike(&compared.collect::<Vec<_>>());
     let few_levels = frames.iter().filter_map(|f| Some((f.frame, f.few_levels?)));
     findings.extend(checks::few_levels(&few_levels.collect::<Vec<_>>()));

@@ -40,6 +40,9 @@ fn read_document(path: &Path) -> Result<Document> {
         let message = format!("it contains only {value}: give a file with all fields");
         return Err(Error::content(path, message));
     }
+    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv")) {
+        return Err(Error::content(path, "it is a CSV table: give a JSON or project file"));
+    }
     // A table of a project file also begins with a bracket, but a name follows.
     let inside = text.trim_start().trim_start_matches(['[', ' ']);
     let is_table = text.trim_start().starts_with('[') && inside.starts_with(char::is_alphabetic);

@@ -12,6 +12,7 @@ use tempfile::NamedTempFile;
 use tracing::{debug, info};
 
 use crate::error::{Error, Result};
+use crate::quantity::counted;
 
 /// Beginning and end of the names of temporary files; no other program uses such names.
 const TEMPORARY: [&str; 2] = [".plenocal-", ".tmp"];
@@ -243,8 +244,8 @@ impl OutputFolder {
             debug!("written: {}", path.display());
         }
         info!(
-            "{} file(s) written to {} in {:.3} s",
-            paths.len(),
+            "{} written to {} in {:.3} s",
+            counted(paths.len(), "file"),
             self.folder.display(),
             begun.elapsed().as_secs_f64()
         );

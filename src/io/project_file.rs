@@ -15,6 +15,7 @@ use crate::image::Color;
 use crate::model::{
     Board, Configuration, Datasheet, InternalParameters, LatticeKind, Sensor, optics,
 };
+use crate::quantity::counted;
 use crate::table::{finite, replace};
 
 /// Content of a project file. A table may be missing if a command gets its content in another way.
@@ -223,7 +224,15 @@ impl Project {
 
     /// Reads a project file and replaces values in it, such as `calibration.loss=huber`.
     pub fn read_and_set(path: &Path, set: &[String]) -> Result<Self> {
-        let mut project = Self::parsed(&read_text(path)?, set).map_err(|e| e.in_file(path))?;
+        let text = read_text(path)?;
+        let parsed = Self::parsed(&text, set).map_err(|error| {
+            if set.is_empty() || Self::parsed(&text, &[]).is_err() {
+                return error;
+            }
+            // The file is right, but not with the replaced values.
+            Error::invalid(format!("with {}: {error}", set.join(", ")))
+        });
+        let mut project = parsed.map_err(|e| e.in_file(path))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         if let Some(observations) = &mut project.observations {
             observations.features = folder.join(&observations.features);
@@ -245,7 +254,7 @@ impl Project {
         let wrong = |e: toml::de::Error| {
             let waiting = text.lines().filter(|line| line.contains(FILL_IN)).count();
             let hint = if waiting > 0 && e.message().starts_with("missing field") {
-                format!("\n{waiting} line(s) are marked {FILL_IN}: state these values first")
+                format!("\nstate the values marked {FILL_IN} first ({})", counted(waiting, "line"))
             } else {
                 String::new()
             };

@@ -82,6 +82,9 @@ pub enum VirtualDepths {
 
 /// First bytes of a `.npy` file.
 const NPY: &[u8] = b"\x93NUMPY";
+/// Error for a table that has neither virtual depths nor features.
+const NEITHER: &str = "this table has no column nu (virtual depths: k,l,u,v,nu) and no column cluster (features: \
+                       k,l,u,v,cluster,frame)";
 /// Error for an image without a scale.
 const LEVELS: &str = "the scale of its grey levels is not known: give A and B, with virtual depth \
                       = A + B · grey level";
@@ -120,6 +123,9 @@ pub fn read_virtual_depths(
     if names.contains(&"k") {
         if names.contains(&"nu") {
             return read_virtual_rows(path, &bytes, std_dev).map(VirtualDepths::Points);
+        }
+        if !names.contains(&"cluster") {
+            return Err(Error::content(path, NEITHER));
         }
         return Ok(VirtualDepths::Features);
     }

@@ -11,6 +11,7 @@ use crate::error::{Error, Result};
 use crate::finding::Finding;
 use crate::image::Grey;
 use crate::model::{Datasheet, InternalParameters, Sensor, positive};
+use crate::quantity::counted;
 
 /// Relative tolerance between stated and measured micro-image pitch. Both are known to a few parts in 10⁴, or to 10⁻³
 /// if centres are not corrected for oblique light. A larger difference means different cameras.
@@ -63,9 +64,9 @@ fn check_f_numbers(whites: &[White]) -> Result<()> {
     numbers.dedup();
     if numbers.len() < 2 {
         return Err(Error::invalid(format!(
-            "there are white images at {} f-number(s), but the internal parameters need at least \
-             two, better five: stop the main lens down between them",
-            numbers.len()
+            "there are white images at {}, but the internal parameters need at least two, better \
+             five: stop the main lens down between them",
+            counted(numbers.len(), "f-number")
         )));
     }
     Ok(())

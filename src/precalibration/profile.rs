@@ -458,6 +458,23 @@ mod tests {
         }
     }
 
+    /// Checks edges of which eight bins are clean. Discs that light one of two of these bins fit the two exactly.
+    #[test]
+    fn starts_are_selected_on_more_than_a_few_bins() {
+        for (largest, outer, inner) in [(7.8, 9.0, 4.0), (7.8, 10.0, 3.0), (12.1, 9.0, 5.5)] {
+            let pixels = RadialPixels::new(0.0, 14.0);
+            let seen = Model { pixels, fall_off: None }.light(outer, inner);
+            let amplitude = 0.47 / seen.at(6.94);
+            let bin = |i: u32| {
+                let radius = 6.94 + BIN_PX * f64::from(i);
+                Bin { radius, light: 0.02 + amplitude * seen.at(radius), std_dev: 0.003 }
+            };
+            let profile = Profile { bins: (0..8).map(bin).collect(), ..Profile::default() };
+            let edge = profile.fit(largest, 0.0, None).unwrap();
+            assert!((edge.outer - outer).abs() < 1e-6, "{edge:?}");
+        }
+    }
+
     /// Checks light with so much noise that hardly a pixel of the edge is above black in all micro-images.
     #[test]
     fn noise_at_black_leaves_an_edge() {

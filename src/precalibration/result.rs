@@ -8,6 +8,7 @@ use super::internal::{InternalFit, RadiusMeasurement};
 use crate::error::{Error, Result};
 use crate::finding::Finding;
 use crate::model::Datasheet;
+use crate::quantity::counted;
 
 /// Measurements of a camera from white images.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,14 +44,13 @@ impl Precalibration {
     pub(super) fn log(&self) {
         let (grid, internal) = (&self.array.grid, &self.internal);
         info!(
-            "{} centres, {:.3} px RMS about a grid of {} x {} with a pitch of {:.5} px; {} lens \
-             type(s)",
+            "{} centres, {:.3} px RMS about a grid of {} x {} with a pitch of {:.5} px; {}",
             self.array.centers.len(),
             grid.rms_px,
             grid.lattice.columns,
             grid.lattice.rows,
             grid.pitch_px,
-            self.lens_types.types
+            counted(self.lens_types.types, "lens type")
         );
         info!(
             "|m| = {:.6} mm, q' = {:.6?} mm; radii {:.4} px RMS about the lines",
@@ -74,8 +74,9 @@ impl Precalibration {
         // Pinholes cannot show lens types.
         if sheet.lens_types > 0 && types != sheet.lens_types {
             return Err(Error::invalid(format!(
-                "{types} lens type(s) were found in the white images, but the camera is stated to \
-                 have {}: correct this, or take sharper white images",
+                "the white images show {}, but the camera is stated to have {}: correct this, or take \
+                 sharper white images",
+                counted(types, "lens type"),
                 sheet.lens_types
             )));
         }

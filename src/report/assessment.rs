@@ -1,22 +1,27 @@
 //! The verdict on a calibration, outliers among the features, and the σ of points.
 
+use std::collections::BTreeSet;
+
 use super::figures::OF_RESULT;
 use super::summary::summary_parts;
 use super::tree::{Cell, Column, Figure, Part, Section, Table, sentence};
 use crate::assessment::{Assessment, Evaluation, NextBoard, ObjectSpace, Verdict};
 use crate::calibration::{Calibration, OutlyingFeature};
-use crate::finding::{Finding, Severity};
-use crate::quantity::two_digits;
+use crate::finding::{Finding, Severity, Subject, list};
+use crate::quantity::{counted, two_digits};
 
-/// Largest number of outliers that are named one by one.
+/// Largest number of outliers, and of frames left out, that are named one by one.
 const NAMED: usize = 5;
 
 /// Returns the verdict with its first `most` reasons, one line each.
 pub(super) fn verdict_parts(findings: &[Finding], most: usize) -> Vec<Part> {
     let verdict = Verdict::of(findings);
+    let without = without_text(findings);
     let text = match verdict {
-        Verdict::Good => "Verdict: good. No finding limits the use of this result.".to_owned(),
-        verdict => format!("Verdict: {verdict}, because"),
+        Verdict::Good => {
+            format!("Verdict: good{without}. No finding limits the use of this result.")
+        }
+        verdict => format!("Verdict: {verdict}{without}, because"),
     };
     let reasons: Vec<&Finding> = findings.iter().filter(|f| f.severity > Severity::Note).collect();
     let line = |(i, reason): (usize, &&Finding)| {
@@ -29,6 +34,22 @@ pub(super) fn verdict_parts(findings: &[Finding], most: usize) -> Vec<Part> {
         parts.push(Part::Text(format!("and {more} more, in the report.")));
     }
     parts
+}
+
+/// Names the frames that are left out, as an addition to the verdict; nothing if all are used.
+fn without_text(findings: &[Finding]) -> String {
+    let left_out = |finding: &Finding| match finding.subject {
+        Subject::Frame { frame, left_out: true, .. } => Some(frame),
+        _ => None,
+    };
+    let frames: BTreeSet<u32> = findings.iter().filter_map(left_out).collect();
+    let frames: Vec<u32> = frames.into_iter().collect();
+    match frames.len() {
+        0 => String::new(),
+        1 => format!(" without frame {}", frames[0]),
+        2..=NAMED => format!(" without frames {}", list(&frames)),
+        many => format!(" without {many} frames"),
+    }
 }
 
 pub(super) fn next_text(next: &NextBoard) -> String {
@@ -65,7 +86,8 @@ pub fn outliers_text(assessment: &Assessment) -> Vec<String> {
     };
     let named: Vec<String> = outlying.iter().take(NAMED).map(one).collect();
     let which = if outlying.len() > NAMED { "the worst" } else { "they are" };
-    vec![format!("{} outlying feature(s); {which}: {}.", outlying.len(), named.join("; "))]
+    let outlying = counted(outlying.len(), "outlying feature");
+    vec![format!("{outlying}; {which}: {}.", named.join("; "))]
 }
 
 /// Returns the table of σ of reconstructed points, by distance.
@@ -113,3 +135,23 @@ pub fn result_section(
 
 /// Largest number of reasons of a verdict that are listed on one screen.
 const MOST_REASONS: usize = 5;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::finding::Issue;
+
+    #[test]
+    fn a_verdict_names_frames_that_are_left_out() {
+        let text = |frames: &[u32]| {
+            let left_out = |frame: &u32| Finding::left_out(*frame, None, Issue::Uniform);
+            let findings: Vec<Finding> = frames.iter().map(left_out).collect();
+            let Part::Verdict { text, .. } = &verdict_parts(&findings, 5)[0] else { panic!() };
+            text.split('.').next().unwrap().to_owned()
+        };
+        assert_eq!(text(&[]), "Verdict: good");
+        assert_eq!(text(&[4]), "Verdict: good without frame 4");
+        assert_eq!(text(&[7, 4, 4]), "Verdict: good without frames 4, 7");
+        assert_eq!(text(&[0, 1, 2, 3, 4, 5]), "Verdict: good without 6 frames");
+    }
+}

@@ -7,7 +7,7 @@ use crate::assessment::{Assessment, BudgetLine, Source, uncertainty_budget};
 use crate::calibration::Calibration;
 use crate::finding::Finding;
 use crate::model::{Board, Datasheet};
-use crate::quantity::fixed;
+use crate::quantity::{counted, fixed};
 
 /// Subject of a certificate.
 #[derive(Debug, Clone, Copy)]
@@ -62,12 +62,12 @@ fn subject_table(of: &Certified) -> Table {
         (
             "Camera".to_owned(),
             format!(
-                "{}: {} × {} px of {} µm, {} lens type(s)",
+                "{}: {} × {} px of {} µm, {}",
                 of.camera,
                 sensor.width_px,
                 sensor.height_px,
                 fixed(sensor.pixel_size_mm * 1e3, 2),
-                calibration.camera.lens_types().max(1)
+                counted(calibration.camera.lens_types().max(1), "lens type")
             ),
         ),
         (

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use super::drawing::{NAMESPACE, escaped};
 use super::tree::{Column, Figure, Part, Question, Report, Section, Table};
+use crate::quantity::counted;
 
 const STYLE: &str = include_str!("html.css");
 /// Script that shows pictures to look into.
@@ -118,7 +119,7 @@ impl Writer {
             return;
         }
         let parts: Vec<Part> = warnings.iter().cloned().map(Part::Text).collect();
-        self.parts(&[Part::Details { summary: format!("{} warning(s)", warnings.len()), parts }]);
+        self.parts(&[Part::Details { summary: counted(warnings.len(), "warning"), parts }]);
     }
 
     fn parts(&mut self, parts: &[Part]) {
@@ -268,7 +269,7 @@ mod tests {
         let section = Section { warnings: vec!["a < b".into()], ..Section::new("A", parts) };
         let html = Report { sections: vec![section], ..Report::default() }.to_html();
         let at = |words: &str| html.find(words).unwrap_or_else(|| panic!("{words}: {html}"));
-        assert!(at("<summary>1 warning(s)</summary>") < at("<p>a &lt; b</p>"));
+        assert!(at("<summary>1 warning</summary>") < at("<p>a &lt; b</p>"));
         assert!(at("<p>a &lt; b</p>") < at("<p>text</p>"));
     }
 

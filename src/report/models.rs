@@ -75,8 +75,8 @@ fn sentences(calibration: &Calibration, comparison: &ModelComparison) -> Vec<Str
     let mut sentences = vec![format!(
         "Error: growth of |r/σ|² of a feature in held-out frames, averaged over the frames, with σ \
          from their scatter; with all groups the mean of |r/σ|² is {:.3} ({} folds of {} frames). \
-         A group earns its keep if the growth exceeds 1 % and 2 σ, and harms if the error shrinks \
-         by as much. χ²: growth of twice the cost, by parts, divided by the weight of the priors.",
+         A group is needed if the growth exceeds 1 % and 2 σ, and harmful if the error shrinks by \
+         as much. χ²: growth of twice the cost, by parts, divided by the weight of the priors.",
         comparison.mean_error(),
         comparison.folds,
         comparison.errors.len()

@@ -342,6 +342,7 @@ fn impossible_options_are_rejected() {
         &["--set", "calibration.fix=[\"focal\"]"],
         &["no parameter 'focal'", "theta_x"],
     );
+    spoiled.is_rejected_with(&["--set", "board.edge=3"], &["with board.edge=3", "square_mm"]);
     spoiled.is_rejected_with(&["--uv-std-dev", "0"], &["(u, v)", "0"]);
     spoiled.is_rejected_with(&["--loss", "huber", "--loss-scale=-1"], &["loss", "-1"]);
     spoiled.is_rejected_with(&["--loss-scale", "2"], &["without a loss", "huber"]);

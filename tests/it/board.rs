@@ -321,6 +321,6 @@ fn models_are_compared_without_the_shape_of_a_bent_board() {
     let compared = compare_models(&found, &scene.board, 5, &|| ()).unwrap();
     let shape = compared.groups.iter().find(|w| w.group == Group::BoardShape).unwrap();
     assert_eq!(shape.parameters, Parameter::SHAPE);
-    assert_eq!(shape.worth(), Worth::EarnsItsKeep, "{:?}", shape.mean_growth());
+    assert_eq!(shape.worth(), Worth::Needed, "{:?}", shape.mean_growth());
     assert!(shape.converged && shape.cost_growth[0] > 100.0, "{:?}", shape.cost_growth);
 }

@@ -336,6 +336,32 @@ fn the_readme_speaks_rust() {
 /// What an integral over an opening, a pixel or its point spread is made of.
 const OF_INTEGRALS: [&str; 6] = ["erf(", "erfc(", "cyl_bessel", "j1(", "quadrature", "overlap("];
 
+/// The measured tables in the documents are made by `examples/evidence`: each block by one part.
+#[test]
+fn every_block_of_evidence_is_made_by_a_part() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let program = fs::read_to_string(root.join("examples/evidence/main.rs")).unwrap();
+    let quoted = |text: &str| -> Vec<String> {
+        text.split('"').skip(1).step_by(2).map(str::to_owned).collect()
+    };
+    let list = program.split("fn parts()").nth(1).unwrap().split("\n}").next().unwrap();
+    let mut made = BTreeSet::new();
+    for part in list.split("part!(").skip(1) {
+        let name = quoted(part).swap_remove(0);
+        match part.split("blocks[").nth(1).and_then(|rest| rest.split(']').next()) {
+            Some(blocks) => made.extend(quoted(blocks).iter().map(|b| format!("{name}/{b}"))),
+            None => drop(made.insert(name)),
+        }
+    }
+    let mut shown = BTreeSet::new();
+    for (_, page) in sources(&["docs"], &["md"]) {
+        let names = page.split("<!-- evidence: ").skip(1);
+        shown.extend(names.filter_map(|rest| Some(rest.split(" -->").next()?.to_owned())));
+    }
+    assert!(shown.len() > 10, "{shown:?}");
+    assert_eq!(made, shown);
+}
+
 /// Light is integrated over the opening of a micro-lens in `optics`, and by the ray tracer, which is there to contradict it.
 #[test]
 fn there_is_one_model_of_light() {

@@ -1,13 +1,14 @@
 //! Boards that were not taken, or not exported, as their white image was.
 
-use plenocal::{Finding, Issue};
+use plenocal::{Estimate, Finding, Issue};
 use std::sync::LazyLock;
 
 use plenocal::detection::{
     BoardImage, DepthEstimator, DetectedBoards, MicroImages, Search, detect,
 };
 use plenocal::image::{RawImage, Samples};
-use plenocal::model::Subset;
+use plenocal::model::taken::APERTURE_RATIO;
+use plenocal::model::{BapFeature, Subset};
 use plenocal::precalibration::{
     PrecalibrationOptions, White, array_findings, measure_array, precalibrate,
 };
@@ -57,7 +58,11 @@ fn said_of(image: &RawImage) -> Vec<Issue> {
 }
 
 fn found_in(image: &RawImage, white: &RawImage) -> DetectedBoards {
-    let Shoot { settings, micro_images, .. } = &*SHOOT;
+    found_with(&SHOOT.micro_images, image, white)
+}
+
+fn found_with(micro_images: &MicroImages, image: &RawImage, white: &RawImage) -> DetectedBoards {
+    let settings = &SHOOT.settings;
     let (board, sheet) = (settings.target.board(), settings.datasheet());
     let estimator = DepthEstimator::Line;
     let search = Search { micro_images, board: &board, sensor: &sheet.sensor, estimator };
@@ -125,6 +130,42 @@ fn another_f_number_is_named() {
     let issue = only_issue(&SHOOT.at_another_f_number);
     let Issue::OtherAperture { ratio } = issue else { panic!("{issue}") };
     assert!((ratio - 1.075).abs() < 0.01, "{ratio}");
+}
+
+/// Another black level is not reported of a white image among the boards.
+#[test]
+fn a_white_image_is_no_board() {
+    let Samples::Bits8(samples) = &SHOOT.white.samples else { panic!("mini has 8 bits") };
+    let samples = Samples::Bits8(samples.iter().map(|x| x / 2 + 20).collect());
+    let found = found_in(&RawImage { samples, ..SHOOT.white.clone() }, &SHOOT.white);
+    assert_eq!(codes(&found.findings), ["uniform"]);
+}
+
+/// Features are moved to the aperture ratio of all boards by their derivatives, over changes of up to 2.5 %: to a tenth of
+/// their noise.
+#[test]
+fn positions_follow_the_aperture_ratio_by_their_derivatives() {
+    const CHANGE: f64 = 0.025;
+    let features = |change: f64| {
+        let ratio = Estimate::new(0.95 * change.exp(), 1e-3);
+        let found = found_with(&SHOOT.micro_images.settled_at(&ratio), &SHOOT.board, &SHOOT.white);
+        found.frames.into_iter().next().unwrap().result.unwrap().features
+    };
+    let (before, after) = (features(0.0), features(CHANGE));
+    let (mut moved, mut left, mut count) = (0.0, 0.0, 0.0);
+    for a in &before {
+        let same = |b: &&BapFeature| (b.corner, b.k, b.l) == (a.corner, a.k, a.l);
+        let Some(b) = after.iter().find(same) else { continue };
+        let derivatives = a.sensitivities_px.unwrap()[APERTURE_RATIO];
+        let change = [b.u_px - a.u_px, b.v_px - a.v_px];
+        for axis in 0..2 {
+            moved += change[axis].powi(2);
+            left += (change[axis] - derivatives[axis] * CHANGE).powi(2);
+            count += 1.0;
+        }
+    }
+    let [moved, left] = [moved, left].map(|squares: f64| (squares / count).sqrt());
+    assert!(moved > 0.01 && left < 0.007, "{left} px of {moved} px are left");
 }
 
 #[test]

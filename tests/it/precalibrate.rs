@@ -110,7 +110,7 @@ fn a_colour_pattern_other_than_stated_gives_a_warning() {
 #[test]
 fn channels_that_an_image_does_not_have_are_rejected() {
     let set = Set::mosaic();
-    set.with("\"bayer-rggb\"", "\"rgb\"").code(1).stderr(contains("has 1 channel(s)"));
+    set.with("\"bayer-rggb\"", "\"rgb\"").code(1).stderr(contains("has 1 channel"));
     assert!(!set.path("results").exists());
 }
 
@@ -212,7 +212,7 @@ fn sizes_that_do_not_fit_a_makers_calibration_are_rejected() {
 fn a_makers_calibration_gives_the_same_columns_without_measurements() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("results");
-    run_maker(folder.path(), "600x500").success().stdout(contains("3 lens type(s)"));
+    run_maker(folder.path(), "600x500").success().stdout(contains("3 lens types"));
     let centers = fs::read_to_string(out.join("centers.csv")).unwrap();
     assert!(centers.starts_with("k,l,u,v,std_dev,type\n"));
     assert!(centers.lines().skip(1).all(|line| line.contains(",,")), "{centers}");

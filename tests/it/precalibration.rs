@@ -214,9 +214,9 @@ fn a_second_stop_gives_a_warning() {
 #[test]
 fn fewer_than_two_f_numbers_are_rejected() {
     let small = &*SMALL;
-    small.is_rejected(&[], "0 f-number(s)");
-    small.is_rejected(&small.whites[..1], "1 f-number(s)");
-    small.is_rejected(&small.at([4.0, 4.0, 16.0])[..2], "1 f-number(s)");
+    small.is_rejected(&[], "0 f-numbers");
+    small.is_rejected(&small.whites[..1], "1 f-number,");
+    small.is_rejected(&small.at([4.0, 4.0, 16.0])[..2], "1 f-number,");
 }
 
 #[test]

@@ -112,21 +112,28 @@ fn corners_are_triangulated_as_well_as_their_covariance_says() {
         let pose = poses.iter().find(|p| p.frame == frame).unwrap();
         pose.camera_from_board * board().point_mm(corner)
     };
-    let (mut square, mut count) = (Vector3::zeros(), 0.0);
+    let (mut square, mut chi_square, mut count) = (Vector3::zeros(), 0.0, 0.0);
     for line in fs::read_to_string(out.join("points.csv")).unwrap().lines().skip(1) {
         let numbers: Vec<f64> = line.split(',').map(|n| n.parse().unwrap()).collect();
-        let [frame, number, x, y, z, sx, sy, sz] = numbers[..] else { panic!("{line}") };
+        let [frame, number, x, y, z, sx, sy, sz, xy, xz, yz] = numbers[..] else {
+            panic!("{line}")
+        };
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         let truth = corner(frame as u32, number as i32);
         let off = Point3::new(x, y, z) - truth;
         square += Matrix3::from_diagonal(&Vector3::new(sx, sy, sz).map(|s| s.powi(-2)))
             * off.component_mul(&off);
+        let information =
+            Matrix3::new(sx * sx, xy, xz, xy, sy * sy, yz, xz, yz, sz * sz).try_inverse().unwrap();
+        chi_square += off.dot(&(information * off));
         count += 1.0;
     }
     assert!(count > 100.0, "{count}");
     for per_axis in (square / count).iter() {
         assert!((0.8..1.25).contains(per_axis), "{:?}", square / count);
     }
+    let per_freedom: f64 = chi_square / (3.0 * count);
+    assert!((0.8..1.25).contains(&per_freedom), "{per_freedom}");
     let ply = fs::read(out.join("points.ply")).unwrap();
     assert!(String::from_utf8_lossy(&ply[..200]).contains(&format!("element vertex {count}")));
 }
@@ -166,6 +173,10 @@ fn virtual_depths_become_points() {
         assert!((found - expected.point_mm[axis]).abs() < 1e-5);
         let std_dev = expected.std_devs_mm()[axis];
         assert!((of_csv[5 + axis] - std_dev).abs() < 1e-5, "{std_dev}");
+    }
+    let [_, xy, xz, _, _, yz, ..] = expected.covariance_mm2;
+    for (found, expected) in of_csv[8..].iter().zip([xy, xz, yz]) {
+        assert!((found - expected).abs() < 1e-3 * expected.abs(), "{found} for {expected}");
     }
     // The map has the micro-image from the pixel, which may be another one.
     let (_, of_map) = run("map.npy", &[]);
@@ -272,6 +283,10 @@ fn what_cannot_be_used_is_named() {
     fails(&["points", camera, path("short.npy").to_str().unwrap()], "cut off");
     fs::write(path("nu.csv"), "k,l,u,v,nu\n20,18,500,400,-10000\n").unwrap();
     fails(&["points", camera, path("nu.csv").to_str().unwrap()], "no point");
+    fs::write(path("uv.csv"), "k,l,u,v\n20,18,500,400\n").unwrap();
+    fails(&["points", camera, path("uv.csv").to_str().unwrap()], "no column nu");
+    let table = path("nu.csv");
+    fails(&["points", table.to_str().unwrap(), table.to_str().unwrap()], "it is a CSV table");
     fs::write(path("nan.csv"), "k,l,u,v,nu\n20,18,500,400,nan\n").unwrap();
     fails(&["points", camera, path("nan.csv").to_str().unwrap()], "line 2");
     fails(&["points", camera, path("nu.csv").to_str().unwrap(), "--uv-std-dev", "-1"], "deviation");

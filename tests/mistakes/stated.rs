@@ -65,7 +65,7 @@ fn array() -> Vec<Mistake> {
     all.push(value("configuration", "\"keplerian\"", Refused(&["configuration", "Keplerian"])));
     all.push(value("lattice", "\"hexagonal-columns\"", Refused(&["lattice"])));
     all.push(value("lattice", "\"orthogonal\"", Refused(&["lattice"])));
-    all.push(value("lens_types", "1", Refused(&["lens type(s)"])));
+    all.push(value("lens_types", "1", Refused(&["lens types"])));
     all.push(value("lens_types", "2", Refused(&["lens types", "lens_types"])));
     all
 }

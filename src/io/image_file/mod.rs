@@ -27,6 +27,7 @@ use image::{
 use super::{open, read_bytes};
 use crate::error::{Error, Result};
 use crate::image::{Color, RawImage, Samples};
+use crate::quantity::counted;
 
 pub use notes::image_findings;
 
@@ -201,8 +202,9 @@ fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
         (Some(color), _) => {
             let channels = stored.samples();
             return Err(Error::invalid(format!(
-                "this image has {channels} channel(s), but its colour is stated as '{}': correct \
-                 the colour, or give the image as the camera delivered it",
+                "this image has {}, but its colour is stated as '{}': correct the colour, or give the \
+                 image as the camera delivered it",
+                counted(channels, "channel"),
                 color.name()
             )));
         }
