@@ -97,7 +97,8 @@ fn no_micro_image_is_cut_by_the_rim_of_a_lens() {
     }
 }
 
-/// Micro-images touch at the f-number of the boards: the light of a micro-lens spreads over 95 to 103 % of the pitch.
+/// Micro-images touch at the f-number of the boards: the light of a micro-lens spreads over 97 to 102 % of the pitch, with the
+/// triplet over 93 %.
 #[test]
 fn micro_images_of_real_lenses_fit() {
     for (camera, name) in ["mini", "r12"].iter().flat_map(|&c| FIGURES.map(|of| (c, of.0))) {
@@ -115,7 +116,7 @@ fn micro_images_of_real_lenses_fit() {
         let largest = mla.focal_lengths_mm.iter().map(blur).fold(0.0, f64::max);
         let pitch = mla.pitch_mm * (1.0 + mla.mla_to_sensor_mm / to_pupil);
         let part = 2.0 * (pupil + largest) / pitch;
-        assert!((0.95..1.03).contains(&part), "{camera}-{name}: {part}");
+        assert!((0.92..1.03).contains(&part), "{camera}-{name}: {part}");
     }
 }
 

@@ -45,7 +45,8 @@ macro_rules! with_lens {
 /// All presets: files in `data/presets`, and the cameras `mini` and `r12` with the other lenses of `data/lenses`.
 ///
 /// The further in front of the lens the exit pupil lies, the wider is the light of an f-number at the array. With the
-/// f-numbers below, micro-images touch, as they do at f/4 with an exit pupil in the principal plane.
+/// f-numbers below, micro-images touch, as they do at f/4 with an exit pupil in the principal plane. The triplet is
+/// corrected for f/4.5 only.
 pub const PRESETS: [Preset; 22] = [
     file!("mini"),
     file!("r12-a"),
@@ -72,7 +73,12 @@ pub const PRESETS: [Preset; 22] = [
     file!("real-a"),
     file!("real-b"),
     with_lens!("mini", "petzval"),
-    with_lens!("mini", "triplet"),
+    with_lens!(
+        "mini",
+        "triplet",
+        "camera.main_lens.f_number=4.5",
+        "white_images.f_numbers=[4.5, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
+    ),
     with_lens!("mini", "tessar"),
     with_lens!(
         "mini",
@@ -87,7 +93,12 @@ pub const PRESETS: [Preset; 22] = [
         "white_images.f_numbers=[4.5, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
     ),
     with_lens!("r12", "petzval"),
-    with_lens!("r12", "triplet"),
+    with_lens!(
+        "r12",
+        "triplet",
+        "camera.main_lens.f_number=4.5",
+        "white_images.f_numbers=[4.5, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
+    ),
     with_lens!("r12", "tessar"),
     with_lens!(
         "r12",
