@@ -132,12 +132,8 @@ impl Settings {
                 "there is no preset '{name}': give one of {names}"
             )));
         };
-        let all: Vec<String> = preset
-            .changes
-            .iter()
-            .map(ToString::to_string)
-            .chain(replaced.iter().cloned())
-            .collect();
+        let changes = preset.changes.iter().map(|&change| change.to_owned());
+        let all: Vec<String> = changes.chain(replaced.iter().cloned()).collect();
         Self::from_toml_and_files(preset.text, &all, read)
             .map_err(|e| Error::invalid(format!("preset {name}: {e}")))
     }
