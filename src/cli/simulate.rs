@@ -74,6 +74,7 @@ Examples:
   plenocal simulate --out data
   plenocal simulate --preset r12-a --set rays=32 --out data
   plenocal simulate --set white_images.gain=4 --set imaging.color=bayer-rggb --out data
+  plenocal simulate --preset mini-tessar --set axis_px=[150,0] --out data
   plenocal simulate --preset mini --print > my-camera.toml
   plenocal simulate my-camera.toml --out data
   plenocal calibrate data/observed/project.toml --out results";

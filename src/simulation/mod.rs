@@ -13,6 +13,8 @@ mod board_texture;
 mod data_set;
 mod imaging;
 mod imperfections;
+#[cfg(test)]
+mod lenses_tests;
 mod main_lens;
 mod prescription;
 mod presets;

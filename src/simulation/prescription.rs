@@ -54,7 +54,15 @@ macro_rules! lenses {
 }
 
 /// Lenses that come with plenocal, by name: files in `data/lenses`.
-const LENSES: [(&str, &str); 2] = lenses!["double-gauss", "telephoto"];
+const LENSES: [(&str, &str); 7] = lenses![
+    "double-gauss",
+    "telephoto",
+    "petzval",
+    "triplet",
+    "tessar",
+    "retrofocus",
+    "near-telecentric"
+];
 /// Largest refractive index, above the index of any glass.
 const MAX_INDEX: f64 = 4.0;
 

@@ -2,45 +2,116 @@
 
 use std::path::Path;
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 use toml::{Table, Value};
 
 use super::settings::Settings;
 use crate::error::{Error, Result};
+use crate::model::PlenopticCamera;
 use crate::table::{finite, replace};
 
-/// A simulation file that comes with plenocal.
+/// A simulation file that comes with plenocal, or one with another lens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Preset {
     /// Name of the preset.
     pub name: &'static str,
     /// Text of the file.
     pub text: &'static str,
+    /// Values that take precedence over those of the file, as `key=value`.
+    pub changes: &'static [&'static str],
 }
 
-macro_rules! presets {
-    ($($name:literal),*) => {
-        [$(Preset {
+macro_rules! file {
+    ($name:literal) => {
+        Preset {
             name: $name,
             text: include_str!(concat!("../../data/presets/", $name, ".toml")),
-        }),*]
+            changes: &[],
+        }
     };
 }
 
-/// All presets: files in `data/presets`.
-pub const PRESETS: [Preset; 12] = presets![
-    "mini",
-    "r12-a",
-    "r12-b",
-    "r12-c",
-    "lytro-like",
-    "keplerian",
-    "mini-double-gauss",
-    "mini-telephoto",
-    "r12-double-gauss",
-    "r12-telephoto",
-    "real-a",
-    "real-b"
+/// A camera with another lens than the double Gauss, and the values that this lens needs.
+macro_rules! with_lens {
+    ($camera:literal, $lens:literal $(, $change:literal)*) => {
+        Preset {
+            name: concat!($camera, "-", $lens),
+            text: include_str!(concat!("../../data/presets/", $camera, "-double-gauss.toml")),
+            changes: &[concat!("prescription=", $lens) $(, $change)*],
+        }
+    };
+}
+
+/// All presets: files in `data/presets`, and the cameras `mini` and `r12` with the other lenses of `data/lenses`.
+///
+/// The further in front of the lens the exit pupil lies, the wider is the light of an f-number at the array. With the
+/// f-numbers below, micro-images touch, as they do at f/4 with an exit pupil in the principal plane. The triplet is
+/// corrected for f/4.5 only.
+pub const PRESETS: [Preset; 22] = [
+    file!("mini"),
+    file!("r12-a"),
+    file!("r12-b"),
+    file!("r12-c"),
+    file!("lytro-like"),
+    file!("keplerian"),
+    file!("mini-double-gauss"),
+    with_lens!(
+        "mini",
+        "telephoto",
+        "camera.main_lens.focal_length_mm=15.68",
+        "camera.main_lens.focus_distance_mm=123.0",
+        "camera.micro_lens_array.lens_to_mla_mm=17.75"
+    ),
+    file!("r12-double-gauss"),
+    with_lens!(
+        "r12",
+        "telephoto",
+        "camera.main_lens.focal_length_mm=49.0",
+        "camera.main_lens.focus_distance_mm=428.0",
+        "camera.micro_lens_array.lens_to_mla_mm=55.73"
+    ),
+    file!("real-a"),
+    file!("real-b"),
+    with_lens!("mini", "petzval"),
+    with_lens!(
+        "mini",
+        "triplet",
+        "camera.main_lens.f_number=4.5",
+        "white_images.f_numbers=[4.5, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
+    ),
+    with_lens!("mini", "tessar"),
+    with_lens!(
+        "mini",
+        "retrofocus",
+        "camera.main_lens.f_number=4.25",
+        "white_images.f_numbers=[4.25, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
+    ),
+    with_lens!(
+        "mini",
+        "near-telecentric",
+        "camera.main_lens.f_number=4.5",
+        "white_images.f_numbers=[4.5, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
+    ),
+    with_lens!("r12", "petzval"),
+    with_lens!(
+        "r12",
+        "triplet",
+        "camera.main_lens.f_number=4.5",
+        "white_images.f_numbers=[4.5, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
+    ),
+    with_lens!("r12", "tessar"),
+    with_lens!(
+        "r12",
+        "retrofocus",
+        "camera.main_lens.f_number=4.25",
+        "white_images.f_numbers=[4.25, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
+    ),
+    with_lens!(
+        "r12",
+        "near-telecentric",
+        "camera.main_lens.f_number=4.5",
+        "white_images.f_numbers=[4.5, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
+    ),
 ];
 
 impl Settings {
@@ -61,12 +132,15 @@ impl Settings {
                 "there is no preset '{name}': give one of {names}"
             )));
         };
-        Self::from_toml_and_files(preset.text, replaced, read)
+        let changes = preset.changes.iter().map(|&change| change.to_owned());
+        let all: Vec<String> = changes.chain(replaced.iter().cloned()).collect();
+        Self::from_toml_and_files(preset.text, &all, read)
             .map_err(|e| Error::invalid(format!("preset {name}: {e}")))
     }
 
     /// Reads settings from the text of a simulation file. The `key=value` pairs in `replaced` take precedence over the file:
-    /// keys have dots for tables, values are TOML or plain strings.
+    /// keys have dots for tables, values are TOML or plain strings. `axis_px` is the place of the optical axis from the middle of
+    /// the sensor: it sets the principal point, and the array keeps its place on the sensor.
     pub fn from_toml(text: &str, replaced: &[String]) -> Result<Self> {
         settings_from(text, replaced, &no_files)
     }
@@ -97,6 +171,7 @@ const LEFT_OUT: &str = "
 # diameter_mm = 4.0
 #
 # white_images.exposure and white_images.gain; default: as in imaging.
+# axis_px = [0, 0], the optical axis from the middle of the sensor; default: principal_point_px.
 # engraved_f_number; default: as in the main lens. imaging.jpeg_quality; default: PNG.
 # Every setting is explained in docs/simulation.md.
 ";
@@ -140,10 +215,16 @@ fn settings_from(
         table.insert("prescription".to_owned(), Value::Table(surfaces));
     }
     finite(&table)?;
+    let axis: Option<[f64; 2]> = table
+        .remove("axis_px")
+        .map(Value::try_into)
+        .transpose()
+        .map_err(|e| wrong(&format!("axis_px, the place of the optical axis: {e}")))?;
     // Errors of a text without replaced values can name the line.
     let mut unknown = Vec::new();
     let mut note = |path: serde_ignored::Path| unknown.push(path.to_string());
-    let mut settings: Settings = if replaced.is_empty() && prescription.is_none() {
+    let as_written = replaced.is_empty() && prescription.is_none() && axis.is_none();
+    let mut settings: Settings = if as_written {
         let document = toml::Deserializer::parse(text).map_err(|e| wrong(&e))?;
         serde_ignored::deserialize(document, &mut note).map_err(|e| wrong(&e))?
     } else {
@@ -151,6 +232,9 @@ fn settings_from(
     };
     if let Some(key) = unknown.first() {
         return Err(Error::invalid(format!("a simulation file has no setting '{key}'")));
+    }
+    if let Some(axis) = axis {
+        move_axis(&mut settings.camera, axis);
     }
     if let Some(prescription) = &settings.prescription {
         let lens = &mut settings.camera.main_lens;
@@ -160,4 +244,12 @@ fn settings_from(
     }
     settings.validate()?;
     Ok(settings)
+}
+
+/// Moves the optical axis to a place from the middle of the sensor. The array keeps its place on the sensor.
+fn move_axis(camera: &mut PlenopticCamera, axis_px: [f64; 2]) {
+    let place = camera.sensor.center_px() + Vector2::from(axis_px);
+    let mla = &mut camera.mla;
+    mla.offset_mm += (place - mla.principal_point_px) * camera.sensor.pixel_size_mm;
+    mla.principal_point_px = place;
 }

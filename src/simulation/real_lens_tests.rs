@@ -13,8 +13,17 @@ use super::spread::Footprint;
 use super::{Settings, Tracer};
 use crate::model::{PlenopticCamera, optics};
 
-const REAL: [&str; 4] =
-    ["mini-double-gauss", "mini-telephoto", "r12-double-gauss", "r12-telephoto"];
+const REAL: [&str; 9] = [
+    "mini-double-gauss",
+    "mini-telephoto",
+    "mini-petzval",
+    "mini-triplet",
+    "mini-tessar",
+    "mini-retrofocus",
+    "mini-near-telecentric",
+    "r12-double-gauss",
+    "r12-telephoto",
+];
 
 fn prescription(text: &str) -> Prescription {
     Prescription::from_toml(text).unwrap()
@@ -293,7 +302,7 @@ fn impossible_lenses_are_rejected_by_name() {
         (change("thickness_mm = 5.0", "thickness_mm = 200.0"), "upside down"),
         (change("    { semi_diameter_mm = 20.0 },\n", ""), "does not end in air"),
         (
-            Prescription::named("tessar").unwrap_err().to_string(),
+            Prescription::named("planar").unwrap_err().to_string(),
             "give one of double-gauss, telephoto",
         ),
     ] {
@@ -315,7 +324,7 @@ fn a_camera_cannot_contradict_its_lens() {
         ("camera.main_lens.exit_pupil_mm=[0, 0, 3]", "but its lens has it at z = 2.389"),
         ("camera.main_lens.f_number=2", "the lens opens to f/2.99"),
         ("camera.micro_lens_array.lens_to_mla_mm=6", "does not lie behind the main lens"),
-        ("prescription=petzval", "there is no lens 'petzval'"),
+        ("prescription=planar", "there is no lens 'planar'"),
         ("prescription=lens.toml", "read it, or give its surfaces"),
     ] {
         assert!(rejected(set).contains(words), "{set}: {}", rejected(set));
