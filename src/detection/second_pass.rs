@@ -25,7 +25,7 @@ use crate::numerics::median;
 use {super::Detection, crate::model::BapFeature};
 
 /// Numbers of rounds in which every corner is searched for. A round uses the lines, the aberrations and the width of edges of
-/// the previous one. There are at least two, and more while the aperture ratio changes.
+/// the previous one. There are at least two, and more while the aperture ratio or the width of edges changes.
 const ROUNDS: std::ops::RangeInclusive<usize> = 2..=4;
 /// Change of ln φ up to which [`Detection::settle`] can make it, to first order: it leaves a few ten-thousandths.
 const SETTLED: f64 = 0.025;
@@ -158,7 +158,9 @@ pub(super) fn second_pass<'a>(
         width = WidthChange::fit(&widths, wider_px2);
         let change = width.filter(|_| free).and_then(|width| width.log_ratio());
         let change = change.filter(|(by, _)| by.abs() > SETTLED);
-        if round == *ROUNDS.end() || (round >= *ROUNDS.start() && change.is_none()) {
+        let wider = width.filter(WidthChange::edges_differ);
+        let settled = change.is_none() && wider.is_none();
+        if round == *ROUNDS.end() || (round >= *ROUNDS.start() && settled) {
             break;
         }
         if let Some((by, _)) = change {
@@ -166,7 +168,7 @@ pub(super) fn second_pass<'a>(
             let ratio = ratio.clamp(*RATIOS.start(), *RATIOS.end());
             micro_images = Cow::Owned(micro_images.with_aperture_ratio(ratio));
         }
-        if let Some(width) = width.filter(WidthChange::edges_differ) {
+        if let Some(width) = wider {
             let least = -micro_images.point_spread_px2();
             wider_px2 = (wider_px2 + width.change.y).clamp(least, MOST_WIDER_PX2);
         }
