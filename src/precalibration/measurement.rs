@@ -227,7 +227,7 @@ mod tests {
             (by_lines(None, estimator, &mut internal), internal)
         };
         let (warning, internal) = of(RadiusEstimator::Profile);
-        assert!(warning.unwrap().to_string().contains("errors of 6 % in m and 3 % in q'"));
+        assert!(warning.unwrap().to_string().contains("change m by 6 % and q' by 3 %"));
         assert!((internal.m_std_dev_mm.unwrap() / measured.m_mm - 0.06).abs() < 1e-4);
         for (std_dev, q) in internal.q_prime_std_dev_mm.iter().zip(&internal.q_prime_mm) {
             assert!((std_dev / q - 0.03).abs() < 1e-4);

@@ -201,7 +201,7 @@ fn a_frame_with_three_corners_is_rejected_until_it_is_excluded() {
         let _ = writeln!(lines, "20,{l},480.0,{}.0,0.1,{corner},77", 20 * l);
     }
     let spoiled = Spoiled::new().edit("features.csv", |text| text + &lines);
-    spoiled.is_rejected(&["frame 77", "3 board corner", "--exclude 77"]);
+    spoiled.is_rejected(&["board corners, but frame 77 shows 3", "--exclude 77"]);
     plenocal()
         .arg("calibrate")
         .arg(spoiled.path("project.toml"))
