@@ -27,7 +27,7 @@ const SETS: [Set; 11] = [
     ),
     set("`keplerian`", "keplerian", &[]),
     set("`r12-a`", "r12-a", &[]),
-    // With a gain of 4, white images would have a noise of 16 grey levels.
+    // A gain of 4 would raise the noise of the white images to 16 grey levels.
     set(
         "`r12-a`, noise of 4 grey levels, white images not clipped",
         "r12-a",

@@ -15,8 +15,8 @@ use plenocal::precalibration::{Precalibration, PrecalibrationOptions, White, pre
 use plenocal::simulation::{DataSet, Settings, Shot};
 use plenocal::{Error, Estimate, Result};
 
-/// White images of a camera, with their pre-calibration. Images of boards are taken when they are searched: all of them would take a
-/// gigabyte.
+/// White images of a camera, with their pre-calibration. Images of boards are taken when they are searched: all of them would
+/// take a gigabyte.
 pub struct Shoot {
     pub settings: Settings,
     pub sheet: Datasheet,

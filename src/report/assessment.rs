@@ -7,7 +7,7 @@ use super::summary::summary_parts;
 use super::tree::{Cell, Column, Figure, Part, Section, Table, sentence};
 use crate::assessment::{Assessment, Evaluation, NextBoard, ObjectSpace, Verdict};
 use crate::calibration::{Calibration, OutlyingFeature};
-use crate::finding::{Finding, Severity, Subject, list};
+use crate::finding::{Finding, Severity, Subject};
 use crate::quantity::{counted, two_digits};
 
 /// Largest number of outliers, and of frames left out, that are named one by one.
@@ -36,18 +36,19 @@ pub(super) fn verdict_parts(findings: &[Finding], most: usize) -> Vec<Part> {
     parts
 }
 
-/// Names the frames that are left out, as an addition to the verdict; nothing if all are used.
+/// Names the frames that are left out, as an addition to the verdict; nothing if all are used. Frames of different subsets may
+/// have the same number, so their images name them.
 fn without_text(findings: &[Finding]) -> String {
-    let left_out = |finding: &Finding| match finding.subject {
-        Subject::Frame { frame, left_out: true, .. } => Some(frame),
+    let left_out = |finding: &Finding| match &finding.subject {
+        Subject::Frame { frame, image, left_out: true } => {
+            Some(image.clone().unwrap_or_else(|| format!("frame {frame}")))
+        }
         _ => None,
     };
-    let frames: BTreeSet<u32> = findings.iter().filter_map(left_out).collect();
-    let frames: Vec<u32> = frames.into_iter().collect();
+    let frames: BTreeSet<String> = findings.iter().filter_map(left_out).collect();
     match frames.len() {
         0 => String::new(),
-        1 => format!(" without frame {}", frames[0]),
-        2..=NAMED => format!(" without frames {}", list(&frames)),
+        1..=NAMED => format!(" without {}", Vec::from_iter(frames).join(", ")),
         many => format!(" without {many} frames"),
     }
 }
@@ -143,15 +144,18 @@ mod tests {
 
     #[test]
     fn a_verdict_names_frames_that_are_left_out() {
-        let text = |frames: &[u32]| {
+        let text = |frames: &[u32], image: Option<&str>| {
             let left_out = |frame: &u32| Finding::left_out(*frame, None, Issue::Uniform);
-            let findings: Vec<Finding> = frames.iter().map(left_out).collect();
+            let mut findings: Vec<Finding> = frames.iter().map(left_out).collect();
+            findings.extend(image.map(|image| Finding::left_out(4, Some(image), Issue::Uniform)));
             let Part::Verdict { text, .. } = &verdict_parts(&findings, 5)[0] else { panic!() };
-            text.split('.').next().unwrap().to_owned()
+            text.split(". ").next().unwrap().to_owned()
         };
-        assert_eq!(text(&[]), "Verdict: good");
-        assert_eq!(text(&[4]), "Verdict: good without frame 4");
-        assert_eq!(text(&[7, 4, 4]), "Verdict: good without frames 4, 7");
-        assert_eq!(text(&[0, 1, 2, 3, 4, 5]), "Verdict: good without 6 frames");
+        assert_eq!(text(&[], None), "Verdict: good");
+        assert_eq!(text(&[4], None), "Verdict: good without frame 4");
+        assert_eq!(text(&[7, 4, 4], None), "Verdict: good without frame 4, frame 7");
+        // Frame 4 of another subset.
+        assert_eq!(text(&[4], Some("e4.png")), "Verdict: good without e4.png, frame 4");
+        assert_eq!(text(&[0, 1, 2, 3, 4, 5], None), "Verdict: good without 6 frames");
     }
 }

@@ -17,7 +17,7 @@ pub struct Preset {
     pub name: &'static str,
     /// Text of the file.
     pub text: &'static str,
-    /// Values that take precedence over those of the file, as `key=value`.
+    /// Values that replace values of the file, as `key=value`.
     pub changes: &'static [&'static str],
 }
 
@@ -31,9 +31,22 @@ macro_rules! file {
     };
 }
 
-/// A camera with another lens than the double Gauss, and the values that this lens needs.
+/// Camera with another lens than the double Gauss: the f-number of boards and of the brightest white image, or other values,
+/// as this lens needs them.
 macro_rules! with_lens {
-    ($camera:literal, $lens:literal $(, $change:literal)*) => {
+    ($camera:literal, $lens:literal, f / $f_number:literal) => {
+        with_lens!(
+            $camera,
+            $lens,
+            concat!("camera.main_lens.f_number=", $f_number),
+            concat!(
+                "white_images.f_numbers=[",
+                $f_number,
+                ", 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
+            )
+        )
+    };
+    ($camera:literal, $lens:literal $(, $change:expr)*) => {
         Preset {
             name: concat!($camera, "-", $lens),
             text: include_str!(concat!("../../data/presets/", $camera, "-double-gauss.toml")),
@@ -73,45 +86,15 @@ pub const PRESETS: [Preset; 22] = [
     file!("real-a"),
     file!("real-b"),
     with_lens!("mini", "petzval"),
-    with_lens!(
-        "mini",
-        "triplet",
-        "camera.main_lens.f_number=4.5",
-        "white_images.f_numbers=[4.5, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
-    ),
+    with_lens!("mini", "triplet", f / 4.5),
     with_lens!("mini", "tessar"),
-    with_lens!(
-        "mini",
-        "retrofocus",
-        "camera.main_lens.f_number=4.25",
-        "white_images.f_numbers=[4.25, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
-    ),
-    with_lens!(
-        "mini",
-        "near-telecentric",
-        "camera.main_lens.f_number=4.5",
-        "white_images.f_numbers=[4.5, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
-    ),
+    with_lens!("mini", "retrofocus", f / 4.25),
+    with_lens!("mini", "near-telecentric", f / 4.5),
     with_lens!("r12", "petzval"),
-    with_lens!(
-        "r12",
-        "triplet",
-        "camera.main_lens.f_number=4.5",
-        "white_images.f_numbers=[4.5, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
-    ),
+    with_lens!("r12", "triplet", f / 4.5),
     with_lens!("r12", "tessar"),
-    with_lens!(
-        "r12",
-        "retrofocus",
-        "camera.main_lens.f_number=4.25",
-        "white_images.f_numbers=[4.25, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
-    ),
-    with_lens!(
-        "r12",
-        "near-telecentric",
-        "camera.main_lens.f_number=4.5",
-        "white_images.f_numbers=[4.5, 5.656854249492381, 8.0, 11.313708498984761, 16.0]"
-    ),
+    with_lens!("r12", "retrofocus", f / 4.25),
+    with_lens!("r12", "near-telecentric", f / 4.5),
 ];
 
 impl Settings {
