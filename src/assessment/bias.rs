@@ -6,6 +6,8 @@ use nalgebra::Vector2;
 /// The error of a detected feature, with its position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FeatureError {
+    /// Number of the frame.
+    pub frame: u32,
     /// Position of the micro-image from the middle of the image, px.
     pub from_middle_px: Vector2<f64>,
     /// True position of the corner from the centre of its micro-image, px.
@@ -105,6 +107,7 @@ mod tests {
         let place = |i: i32| Vector2::new(f64::from(i % 40 - 20), f64::from(i / 40 - 20)) * 50.0;
         let offset = |i: i32| Vector2::new(f64::from(i % 7 - 3), f64::from(i % 11 - 5));
         let error = |i: i32| FeatureError {
+            frame: 0,
             from_middle_px: place(i),
             from_center_px: offset(i),
             lens_type: usize::from(i % 2 == 1),

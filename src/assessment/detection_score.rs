@@ -147,6 +147,7 @@ impl DetectionScore {
             if let Some(c) = truth.centers.get(&(t.k, t.l)) {
                 let center = Vector2::new(c.u_px, c.v_px);
                 self.errors.push(FeatureError {
+                    frame: f.frame,
                     from_middle_px: center - truth.middle,
                     from_center_px: Vector2::new(t.u_px, t.v_px) - center,
                     lens_type: (truth.lens_type)(t.k, t.l),

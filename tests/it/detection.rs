@@ -118,6 +118,23 @@ const BIAS_PX: f64 = 0.005;
 const BIAS_OF_R12_PX: f64 = 0.01;
 const OUTWARDS: f64 = 0.003;
 
+/// Checks frames one by one: errors over all frames hide one whose search ended too early. Without a further round, corners of
+/// frame 4 at the rim of the micro-images are 0.05 px too far out, and its error is 0.049 px.
+#[test]
+#[ignore = "slow: simulates large images; run by `make test-slow`"]
+fn every_frame_of_an_r12_is_accurate() {
+    const FRAMES: usize = 5;
+    let settings = preset("r12-a", &["seed=7705"]);
+    let score = DetectionScore::of_simulation(&settings, FRAMES, DepthEstimator::Line).unwrap();
+    for frame in 0..FRAMES as u32 {
+        let errors: Vec<_> = score.errors.iter().filter(|error| error.frame == frame).collect();
+        let square: f64 = errors.iter().map(|error| error.error_px.norm_squared() / 2.0).sum();
+        let rms_px = (square / errors.len() as f64).sqrt();
+        println!("frame {frame}: {rms_px:.4} px, {} features", errors.len());
+        assert!(rms_px < 0.045, "frame {frame}: {rms_px} px");
+    }
+}
+
 #[test]
 #[ignore = "slow: images of six cameras; run by `make test-slow`"]
 fn bias_of_corners_by_place_distance_and_type() {
