@@ -26,8 +26,6 @@ const ENGRAVED: f64 = 0.03;
 pub(super) const INTERCEPTS: f64 = 0.005;
 /// Relative σ of f-numbers, and therefore of m.
 const F_NUMBERS: f64 = 0.02;
-/// σ of the distance of the axis from the middle of the sensor due to the mount, mm.
-const MOUNT_MM: f64 = 0.5;
 
 /// Source of the value of a prior.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -148,7 +146,7 @@ fn default_priors(start: &Start) -> Vec<(Prior, PriorSource)> {
         std_dev,
     };
     let sensor = start.sensor();
-    let (middle, mount) = (sensor.center_px(), MOUNT_MM / sensor.pixel_size_mm);
+    let (middle, mount) = (sensor.center_px(), sensor.mount_px());
     let mut priors = Vec::new();
     if let Start::Datasheet(sheet, internal) = start {
         let (f, m) = (sheet.focal_length_mm, internal.m_mm);

@@ -1,8 +1,8 @@
 //! Systematic errors of observations, due to quantities that their measurement assumes known.
 //!
 //! The position of a corner depends a little on the pupil of the main lens, on q'ᵢ, on the angular response inside a
-//! micro-image, on the aperture ratio, on the point spread, and on the tilt of the array. All features share the errors
-//! of these, and no scatter shows them. All centres share the error of the shift of centroids by the angular response.
+//! micro-image, on the aperture ratio, on the point spread, on the aberrations of the main lens, and on the tilt of the
+//! array. All features share the errors of these, and no scatter shows them. All centres share the error of the shift of centroids by the angular response.
 
 use nalgebra::Vector2;
 
@@ -20,10 +20,22 @@ const BLUR_MODEL: f64 = 2e-3;
 
 /// Name of the error of the aperture ratio.
 pub const APERTURE_RATIO: &str = "aperture ratio";
-/// Names of the errors of the models of corners and of centroids.
-pub const MODEL_ERRORS: [&str; 2] = [BLUR, CENTROIDS];
+/// Names of the errors of the models of corners and of centroids, and of the aberrations of the main lens.
+pub const MODEL_ERRORS: [&str; 2 + taken::ABERRATION_COUNT] = [
+    BLUR,
+    CENTROIDS,
+    ABERRATIONS[0],
+    ABERRATIONS[1],
+    ABERRATIONS[2],
+    ABERRATIONS[3],
+    ABERRATIONS[4],
+];
 const BLUR: &str = "blur";
 const CENTROIDS: &str = "centroids";
+
+/// Names of the errors of the aberrations of the main lens: independent combinations of all of them.
+const ABERRATIONS: [&str; taken::ABERRATION_COUNT] =
+    ["aberration 1", "aberration 2", "aberration 3", "aberration 4", "aberration 5"];
 
 /// Model error of the shift of centroids, over the gradient of the angular response, px²: the accuracy on simulated
 /// cameras with any law.
@@ -68,6 +80,12 @@ pub(super) fn systematic_errors(
         add(name, Vec::new(), &|_, f| {
             let [u, v] = sensitivities(f)[taken];
             [u * std_dev, v * std_dev, 0.0]
+        });
+    }
+    for (i, name) in ABERRATIONS.into_iter().enumerate() {
+        add(name, Vec::new(), &|_, f| {
+            let [u, v] = sensitivities(f)[taken::ABERRATIONS + i];
+            [u, v, 0.0]
         });
     }
     for (lens_type, std_dev_mm) in internal.q_prime_std_dev_mm.iter().enumerate() {

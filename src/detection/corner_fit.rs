@@ -21,7 +21,7 @@ use crate::model::taken::{APERTURE_RATIO, FALL_OFF, INTERCEPT, POINT_SPREAD, PUP
 use crate::numerics::simd::{dot, products};
 use crate::optics::{Bundle, Column, CornerEdges, CornerLight};
 
-/// Derivatives of a position by the quantities from white images, px: see [`crate::model::TAKEN_FROM_WHITES`].
+/// Derivatives of a position by the quantities from white images, px: see [`crate::model::TAKEN_QUANTITIES`].
 pub(super) type ByTaken = SMatrix<f64, 2, TAKEN>;
 
 /// Fitted corner.
@@ -39,8 +39,8 @@ pub(super) struct FittedCorner {
 pub(super) struct Sensitivities {
     /// Derivative by the slope, px.
     pub by_slope: Vector2<f64>,
-    /// Derivatives by S, C and T, px³.
-    pub by_aberration: SMatrix<f64, 2, 3>,
+    /// Derivatives by S, b and M of its micro-image, see [`Aberration`].
+    pub by_aberration: SMatrix<f64, 2, 6>,
     /// Derivatives by the quantities from white images.
     pub by_taken: ByTaken,
 }
@@ -71,7 +71,7 @@ pub(super) struct FitRoom {
 /// Number of unknowns: position (u, v), level, contrast.
 const UNKNOWNS: usize = 4;
 /// Columns of held quantities.
-const OF_HELD: [Column; 9] = [
+const OF_HELD: [Column; 12] = [
     Column::BlurRadius,
     Column::EdgeVariance,
     Column::PupilBlurRadius,
@@ -79,8 +79,11 @@ const OF_HELD: [Column; 9] = [
     Column::PointSpread,
     Column::FallOff,
     Column::Spherical,
-    Column::Coma,
-    Column::Astigmatism,
+    Column::ComaU,
+    Column::ComaV,
+    Column::AstigmatismUU,
+    Column::AstigmatismUV,
+    Column::AstigmatismVV,
 ];
 const HELD: usize = OF_HELD.len();
 
@@ -198,12 +201,10 @@ impl Held<'_> {
         };
         let Self { optics, slope, .. } = self;
         let by_radius = of(Column::BlurRadius);
-        let of_aberration = [Column::Spherical, Column::Coma, Column::Astigmatism].map(of);
-        // The coefficients over A are S, C and T times 1/A = γ − 1.
-        let mut by_slope = by_radius * optics.blur_by_slope_px();
-        for (by, coefficient) in of_aberration.iter().zip(&self.aberration.coefficients_per_px2) {
-            by_slope += by * *coefficient;
-        }
+        // The columns are S, b and M over A, and 1/A is γ − 1.
+        let by_bend = by.fixed_columns::<6>(HELD - 6);
+        let by_slope =
+            by_radius * optics.blur_by_slope_px() + by_bend * self.aberration.at(&self.center);
         let mut by_taken = ByTaken::zeros();
         let columns = [
             (PUPIL, of(Column::Pupil) * optics.pupil_px),
@@ -219,7 +220,7 @@ impl Held<'_> {
         for (taken, column) in columns {
             by_taken.set_column(taken, &column);
         }
-        let by_aberration = SMatrix::from_columns(&of_aberration) * (slope - 1.0);
+        let by_aberration = by_bend * (slope - 1.0);
         Sensitivities { by_slope, by_aberration, by_taken }
     }
 }

@@ -1,6 +1,6 @@
 //! Measurement of a corner in a micro-image, with its sensitivities to assumed quantities.
 
-use nalgebra::{SMatrix, Vector2, Vector3};
+use nalgebra::{SMatrix, Vector2};
 
 use super::corner::Corner;
 use super::corner_fit::Sensitivities;
@@ -10,6 +10,7 @@ use crate::model::TAKEN;
 
 /// Observation of a corner, made with the slope and the aberration that were known before. Positions are corrected for the
 /// aberration, see [`super::Aberration`].
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct CornerMeasurement {
     pub observation: CornerObservation,
     pub corner: Corner,
@@ -33,14 +34,9 @@ impl CornerMeasurement {
         }
     }
 
-    /// Adds the effect of the slope of the line to the sensitivities to quantities from white images.
+    /// Adds the effect of the slope of the line to the sensitivities to quantities that are taken as known.
     pub fn take_slope(&mut self, slope_by_taken: &SMatrix<f64, 1, TAKEN>) {
         self.sensitivities.by_taken += self.sensitivities.by_slope * slope_by_taken;
-    }
-
-    /// Moves the observation by a change of the aberration.
-    pub fn change_aberration(&mut self, change: &Vector3<f64>) {
-        self.moved(&(self.sensitivities.by_aberration * change));
     }
 
     /// Moves the observation to the blur radius of another slope. The change of the blur radius is then relative to this
@@ -58,7 +54,8 @@ impl CornerMeasurement {
         self.width.about(&Vector2::new(-wider_px, 0.0))
     }
 
-    fn moved(&mut self, by: &Vector2<f64>) {
+    /// Moves the position.
+    pub fn moved(&mut self, by: &Vector2<f64>) {
         self.observation.position += by;
         self.corner.place += by;
     }
@@ -66,7 +63,7 @@ impl CornerMeasurement {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Matrix2, Matrix2x3};
+    use nalgebra::{Matrix2, Matrix2x6};
 
     use super::super::corner_fit::ByTaken;
     use super::super::micro_images::tests::micro_images;
@@ -99,7 +96,7 @@ mod tests {
             slope_before: 0.5,
             sensitivities: Sensitivities {
                 by_slope: Vector2::new(0.3, -0.2),
-                by_aberration: Matrix2x3::zeros(),
+                by_aberration: Matrix2x6::zeros(),
                 by_taken: ByTaken::zeros(),
             },
             width,

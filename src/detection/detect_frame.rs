@@ -8,11 +8,11 @@ use tracing::{debug, info, trace};
 use super::CornerObservation;
 use super::board::{LabelledBoard, LatticePoint};
 use super::exposure::{contrast, count_unusable};
-use super::features::{Detection, detection};
+use super::features::Detection;
 use super::first_pass::{FirstPass, groups};
 use super::frame::{Frame, FrameCounts, MARGIN, Search};
 use super::grouping::Group;
-use super::second_pass::{BoardCorner, second_pass};
+use super::second_pass::{ExpectedCorner, second_pass};
 use crate::finding::Issue;
 use crate::image::Grey;
 use crate::model::MIN_CORNERS;
@@ -90,9 +90,8 @@ fn of_board(
     let groups = groups(frame, observations, counts);
     trace!("frame {}: contrast {contrast:.3}, {} lines", frame.frame, groups.len());
     let labelled = labelled_board(frame, observations, &groups, counts)?;
-    let of_group = |(group, corner): (&Group, &Option<i32>)| {
-        Some(BoardCorner::expected((*corner)?, group.line))
-    };
+    let of_group =
+        |(group, corner): (&Group, &Option<i32>)| Some(ExpectedCorner::new((*corner)?, group.line));
     let corners = groups.iter().zip(&labelled.corners).filter_map(of_group).collect();
     let passed = second_pass(frame, corners, &labelled, *contrast, counts);
     let corners = &passed.corners;
@@ -106,7 +105,8 @@ fn of_board(
     let in_view = (0..frame.search.board.corners()).filter(in_view).count();
     let is_sure = counts.off_board as f64 <= OFF_BOARD * counts.corners as f64
         && corners.len() as f64 >= FOUND * in_view as f64;
-    Ok((detection(frame, passed, labelled.homography), is_sure))
+    let detection = Detection::new(frame, passed, labelled.homography);
+    Ok((detection, is_sure))
 }
 
 /// Labels the pinhole images of groups with the corners of the board.

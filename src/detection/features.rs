@@ -2,12 +2,13 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
+use super::aberration_fit::{AberrationInformation, FittedAberration};
+use super::corner_measurement::CornerMeasurement;
 use super::edge_width::{EdgeWidth, WidthChange};
 use super::frame::Frame;
 use super::line::median_inverse_virtual_depth;
-use super::second_pass::{BoardCorner, Found, SecondPassed};
+use super::second_pass::{Change, SecondPassed, SettledCorner};
 use super::{Aberration, CornerLine, CornerObservation, DepthEstimator, MicroImages, MicroOptics};
-use crate::model::taken::APERTURE_RATIO;
 use crate::model::{BapFeature, MeasuredBlur};
 use crate::quantity::Estimate;
 
@@ -37,20 +38,10 @@ pub struct Detection {
     pub aberration: Aberration,
     /// Sharpness of its edges, if they show it.
     pub edges: Option<Edges>,
-    /// Measurements that the features follow from.
-    measured: Measured,
-}
-
-/// Measurements of the second pass in a frame, for the aperture ratio that its corners were fitted with.
-#[derive(Debug, Clone, PartialEq)]
-struct Measured {
     frame: u32,
     estimator: DepthEstimator,
-    corners: Vec<BoardCorner>,
-    width: Option<WidthChange>,
-    aperture_ratio: f64,
-    /// Excess edge variance along an axis, px².
-    wider_px2: f64,
+    /// Measurements that the features follow from.
+    measured: SecondPassed,
 }
 
 /// Estimates from the widths of edges in a frame.
@@ -66,10 +57,98 @@ pub struct Edges {
 }
 
 impl Detection {
-    /// Moves its features to the aperture ratio of some micro-images, and measures their blur. `wider_px2` is the excess edge
-    /// variance, px², if other frames determine it better.
-    pub(super) fn settle(&mut self, micro_images: &MicroImages, wider_px2: Option<Estimate>) {
-        (self.features, self.corners) = self.measured.features(micro_images, wider_px2);
+    /// Creates the detection from the corners that were found, with the aberrations of this frame alone.
+    pub(super) fn new(frame: &Frame, measured: SecondPassed, homography: Matrix3<f64>) -> Self {
+        let search = frame.search;
+        let mut found = Self {
+            features: Vec::new(),
+            corners: Vec::new(),
+            homography,
+            aberration: measured.aberration.aberration,
+            edges: None,
+            frame: frame.frame,
+            estimator: search.estimator,
+            measured,
+        };
+        let fitted_with = search.micro_images.with_aperture_ratio(found.measured.aperture_ratio);
+        found.edges =
+            found.measured.width.map(|width| edges(&fitted_with, &width, found.measured.wider_px2));
+        let aberration = found.measured.aberration;
+        found.settle(search.micro_images, &aberration, None);
+        found
+    }
+
+    /// Returns the information of its corners about the aberrations.
+    pub(super) fn about_aberration(&self) -> &AberrationInformation {
+        &self.measured.information
+    }
+
+    /// Computes its features, corner by corner, and the corners for the aperture ratio of some micro-images and an aberration,
+    /// and measures their blur. `wider_px2` is the excess edge variance, px², if other frames determine it better. Positions
+    /// and lines move by their derivatives; ρ also moves by q'ᵢ, since white images show φqᵢ. The measured blur does not depend
+    /// on the aperture ratio. Returns the number of features of corners whose line is not possible any more.
+    pub(super) fn settle(
+        &mut self,
+        micro_images: &MicroImages,
+        aberration: &FittedAberration,
+        wider_px2: Option<Estimate>,
+    ) -> usize {
+        let half_pitch = micro_images.grid.pitch_px / 2.0;
+        let ratio = micro_images.aperture_ratio();
+        let measured = &self.measured;
+        let fitted_with = micro_images.with_aperture_ratio(measured.aperture_ratio);
+        let change = Change {
+            from: &measured.measured_with,
+            to: aberration,
+            log_ratio: (ratio / measured.aperture_ratio).ln(),
+        };
+        let (mut features, mut corners, mut given_up) = (Vec::new(), Vec::new(), 0);
+        for corner in &measured.corners {
+            let Some(SettledCorner { corner, line, seen, .. }) =
+                corner.settled(&fitted_with, &change)
+            else {
+                given_up += corner.seen.len();
+                continue;
+            };
+            let observations: Vec<CornerObservation> = seen.iter().map(|s| s.observation).collect();
+            // Each corner has at least two observations.
+            let median = median_inverse_virtual_depth(&observations).unwrap_or(f64::NAN);
+            corners.push(DetectedCorner {
+                corner,
+                line,
+                median_inverse_virtual_depth: median,
+                features: seen.len(),
+            });
+            for CornerMeasurement { observation, corner: fitted, sensitivities, width, .. } in &seen
+            {
+                let (k, l) = (observation.k, observation.l);
+                let optics = micro_images.optics(k, l);
+                let rho_px = match self.estimator {
+                    DepthEstimator::Median => optics.rho_of_depth_px(median),
+                    DepthEstimator::Line => optics.rho_px(line.slope),
+                };
+                let blur = measured.blur(width, &fitted_with.optics(k, l), line.slope, wider_px2);
+                let std_devs = [0, 1].map(|i| fitted.covariance[(i, i)].sqrt());
+                features.push(BapFeature {
+                    frame: self.frame,
+                    corner,
+                    k,
+                    l,
+                    u_px: observation.position.x,
+                    v_px: observation.position.y,
+                    rho_px: Some(rho_px),
+                    std_dev_px: Some(std_devs),
+                    correlation: fitted.covariance[(0, 1)] / (std_devs[0] * std_devs[1]),
+                    // It follows from the slope of the corner's line, even if ρ is from the median over pairs. The uncertainty
+                    // of q'ᵢ, which all features of a lens type share, is not included.
+                    rho_std_dev_px: Some(half_pitch * line.slope_std_dev),
+                    sensitivities_px: Some(sensitivities.by_taken.into()),
+                    blur: blur.map(|blur| MeasuredBlur { aperture_ratio: ratio, ..blur }),
+                });
+            }
+        }
+        (self.features, self.corners, self.aberration) = (features, corners, aberration.aberration);
+        given_up
     }
 
     /// Returns the pinhole image of a position on the board in columns and rows, px.
@@ -80,88 +159,7 @@ impl Detection {
     }
 }
 
-/// Computes the features of the corners that were found, with the aperture ratio of the search.
-pub(super) fn detection(
-    frame: &Frame,
-    passed: SecondPassed<'_>,
-    homography: Matrix3<f64>,
-) -> Detection {
-    let SecondPassed { micro_images, corners, aberration, wider_px2, width } = passed;
-    let edges = width.map(|width| edges(&micro_images, &width, wider_px2));
-    let measured = Measured {
-        frame: frame.frame,
-        estimator: frame.search.estimator,
-        corners,
-        width,
-        aperture_ratio: micro_images.aperture_ratio(),
-        wider_px2,
-    };
-    let (features, corners) = measured.features(frame.search.micro_images, None);
-    Detection { features, corners, homography, aberration, edges, measured }
-}
-
-impl Measured {
-    /// Returns the features with the aperture ratio of some micro-images, corner by corner, and the corners. Positions and
-    /// lines move by their derivatives; ρ also moves by q'ᵢ, since white images show φqᵢ. The measured blur does not depend on
-    /// the aperture ratio.
-    fn features(
-        &self,
-        micro_images: &MicroImages,
-        wider_px2: Option<Estimate>,
-    ) -> (Vec<BapFeature>, Vec<DetectedCorner>) {
-        let half_pitch = micro_images.grid.pitch_px / 2.0;
-        let ratio = micro_images.aperture_ratio();
-        let log_change = (ratio / self.aperture_ratio).ln();
-        let fitted_with = micro_images.with_aperture_ratio(self.aperture_ratio);
-        let (mut features, mut corners) = (Vec::new(), Vec::new());
-        for found in &self.corners {
-            let line = found.line.moved(&found.line_by_ratio, log_change);
-            let moved = |found: &Found| {
-                let by_ratio = found.by_taken.column(APERTURE_RATIO);
-                let position = found.observation.position + by_ratio * log_change;
-                CornerObservation { position, ..found.observation }
-            };
-            let observations: Vec<CornerObservation> =
-                found.observations.iter().map(moved).collect();
-            // Each corner has at least two observations.
-            let median = median_inverse_virtual_depth(&observations).unwrap_or(f64::NAN);
-            corners.push(DetectedCorner {
-                corner: found.corner,
-                line,
-                median_inverse_virtual_depth: median,
-                features: observations.len(),
-            });
-            for (found_in, observation) in found.observations.iter().zip(observations) {
-                let Found { corner, by_taken, width, .. } = found_in;
-                let (k, l) = (observation.k, observation.l);
-                let optics = micro_images.optics(k, l);
-                let rho_px = match self.estimator {
-                    DepthEstimator::Median => optics.rho_of_depth_px(median),
-                    DepthEstimator::Line => optics.rho_px(line.slope),
-                };
-                let blur = self.blur(width, &fitted_with.optics(k, l), found.line.slope, wider_px2);
-                let std_devs = [0, 1].map(|i| corner.covariance[(i, i)].sqrt());
-                features.push(BapFeature {
-                    frame: self.frame,
-                    corner: found.corner,
-                    k,
-                    l,
-                    u_px: observation.position.x,
-                    v_px: observation.position.y,
-                    rho_px: Some(rho_px),
-                    std_dev_px: Some(std_devs),
-                    correlation: corner.covariance[(0, 1)] / (std_devs[0] * std_devs[1]),
-                    // It follows from the slope of the corner's line, even if ρ is from the median over pairs. The uncertainty
-                    // of q'ᵢ, which all features of a lens type share, is not included.
-                    rho_std_dev_px: Some(half_pitch * line.slope_std_dev),
-                    sensitivities_px: Some((*by_taken).into()),
-                    blur: blur.map(|blur| MeasuredBlur { aperture_ratio: ratio, ..blur }),
-                });
-            }
-        }
-        (features, corners)
-    }
-
+impl SecondPassed {
     /// Returns the measured blur of a feature whose line has a slope.
     fn blur(
         &self,

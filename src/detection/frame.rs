@@ -4,7 +4,7 @@ use nalgebra::{Matrix2, Vector2};
 
 use super::corner::Corner;
 use super::patch::{Pair, Patch, Room, Unusable};
-use super::{CornerObservation, DepthEstimator, MicroImages};
+use super::{Aberration, CornerObservation, DepthEstimator, MicroImages};
 use crate::image::Grey;
 use crate::model::{Board, Sensor};
 
@@ -19,6 +19,13 @@ pub struct Search<'a> {
     pub sensor: &'a Sensor,
     /// Estimator of 1/ν from the observations of a corner.
     pub estimator: DepthEstimator,
+}
+
+impl Search<'_> {
+    /// Returns a main lens without aberrations, with its axis in the middle of the image.
+    pub(super) fn ideal(&self) -> Aberration {
+        Aberration::none(self.sensor.center_px(), self.micro_images.pupil_px())
+    }
 }
 
 /// Counts of what was found and dropped in a frame: in the first pass, which searches every micro-image alone, and in the

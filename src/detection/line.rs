@@ -71,12 +71,6 @@ impl CornerLine {
         Self::exact(pinhole * (1.0 - slope), slope)
     }
 
-    /// Returns the line moved along a derivative.
-    pub(super) fn moved(&self, by: &Self, change: f64) -> Self {
-        let (start, slope) = (self.start + by.start * change, self.slope + by.slope * change);
-        Self { start, slope, ..*self }
-    }
-
     /// Creates the line with these parameters.
     pub(super) fn exact(start: Vector2<f64>, slope: f64) -> Self {
         Self { start, slope, slope_std_dev: 0.0, rms_px: 0.0 }

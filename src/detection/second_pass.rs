@@ -3,26 +3,27 @@
 
 use std::borrow::Cow;
 
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 
-use super::aberration_fit::aberration_change;
+#[cfg(doc)]
+use super::Detection;
+use super::aberration_fit::{AberrationInformation, FittedAberration};
 use super::board::LabelledBoard;
 use super::corner::Corner;
-use super::corner_fit::{ByTaken, FitRoom, FittedCorner, Held};
+use super::corner_fit::{FitRoom, FittedCorner, Held};
 use super::corner_measurement::CornerMeasurement;
 use super::distortion::Distortion;
 use super::edge_width::{EdgeWidth, WidthChange};
 use super::first_pass::LEAST_CONTRAST;
-use super::frame::{Frame, FrameCounts, MARGIN};
+use super::frame::{Frame, FrameCounts, MARGIN, Search};
 use super::line::{CornerLine, FittedLine, possible_slope};
 use super::patch::{self, Patch};
 use super::slope_field::SlopeField;
-use super::{Aberration, CornerObservation, MicroImages, MicroOptics};
-use crate::model::taken::APERTURE_RATIO;
+use super::{Aberration, MicroImages, MicroOptics};
+use crate::model::taken::{ABERRATIONS, APERTURE_RATIO};
 use crate::numerics::median;
-#[cfg(doc)]
-use {super::Detection, crate::model::BapFeature};
+use crate::optics::aberration::{UNKNOWNS, field_terms};
 
 /// Numbers of rounds in which every corner is searched for. A round uses the lines, the aberrations and the width of edges of
 /// the previous one. There are at least two, and more while the aperture ratio or the width of edges changes.
@@ -53,76 +54,99 @@ const EDGE_PX: f64 = 0.15;
 const OUTLIER: f64 = 4.0;
 const LEAST_RMS_PX: f64 = 0.08;
 
-/// Corner of the board with its line and, once it was searched for, its observations.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct BoardCorner {
+/// Corner of the board that is expected on a line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct ExpectedCorner {
     pub corner: i32,
     pub line: CornerLine,
-    /// Derivative of the line by ln φ.
-    pub line_by_ratio: CornerLine,
-    pub observations: Vec<Found>,
+    /// True if it was not searched for before.
+    pub is_new: bool,
 }
 
-/// Corner found in a micro-image.
+/// Corner of the board with its measurements near its line.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Found {
-    pub observation: CornerObservation,
-    pub corner: Corner,
-    /// Derivatives of the position by the quantities from white images, px: see [`BapFeature::sensitivities_px`].
-    pub by_taken: ByTaken,
-    /// Information of its light about its blur radius and the variance of its edges; and derivative of this radius by ln φ, px,
-    /// including the effect of the slope of the line.
-    pub width: EdgeWidth,
-    pub radius_by_ratio_px: f64,
+pub(super) struct MeasuredCorner {
+    pub corner: i32,
+    pub seen: Vec<CornerMeasurement>,
+}
+
+/// Corner of the board with its line, for known aberrations and aperture ratio.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct SettledCorner {
+    pub corner: i32,
+    pub line: CornerLine,
+    /// Derivative of the slope of the line by ln φ.
+    pub slope_by_ratio: f64,
+    pub seen: Vec<CornerMeasurement>,
+}
+
+/// Change of what corners were measured with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Change<'a> {
+    pub from: &'a Aberration,
+    pub to: &'a FittedAberration,
+    /// Change of ln φ.
+    pub log_ratio: f64,
 }
 
 /// Result of the second pass in a frame.
-pub(super) struct SecondPassed<'a> {
-    /// Micro-images, with the aperture ratio that the corners were fitted with.
-    pub micro_images: Cow<'a, MicroImages>,
-    /// Corners of the board with all their observations.
-    pub corners: Vec<BoardCorner>,
-    /// Aberrations that the positions are corrected for.
-    pub aberration: Aberration,
-    /// Excess edge variance along an axis, px².
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct SecondPassed {
+    /// Aperture ratio, aberrations, and excess edge variance along an axis, px², that the corners were measured with.
+    pub aperture_ratio: f64,
+    pub measured_with: Aberration,
     pub wider_px2: f64,
-    /// Remaining changes of the aperture ratio and of this variance, from the edges of all corners, if they determine them.
+    /// Corners of the board.
+    pub corners: Vec<MeasuredCorner>,
+    /// Aberrations that the corners show, and their information about them.
+    pub aberration: FittedAberration,
+    pub information: AberrationInformation,
+    /// Remaining changes of the aperture ratio and of the excess edge variance, from the edges of all corners, if they
+    /// determine them.
     pub width: Option<WidthChange>,
 }
 
-impl BoardCorner {
-    /// Creates a corner that is expected on a line, before it is searched for.
-    pub fn expected(corner: i32, line: CornerLine) -> Self {
-        let line_by_ratio = CornerLine::exact(Vector2::zeros(), 0.0);
-        Self { corner, line, line_by_ratio, observations: Vec::new() }
+impl ExpectedCorner {
+    /// Creates a corner that was not searched for before.
+    pub fn new(corner: i32, line: CornerLine) -> Self {
+        Self { corner, line, is_new: true }
     }
 }
 
 /// Searches for all corners of the board: where their lines predict them, or the lines of their neighbours for corners without
 /// one.
-pub(super) fn second_pass<'a>(
-    frame: &Frame<'a>,
-    mut corners: Vec<BoardCorner>,
+pub(super) fn second_pass(
+    frame: &Frame,
+    mut expected: Vec<ExpectedCorner>,
     labelled: &LabelledBoard,
     contrast: f64,
     counts: &mut FrameCounts,
-) -> SecondPassed<'a> {
-    let at_first: Vec<i32> = corners.iter().map(|c| c.corner).collect();
+) -> SecondPassed {
+    let at_first: Vec<i32> = expected.iter().map(|c| c.corner).collect();
     let mut micro_images = Cow::Borrowed(frame.search.micro_images);
-    let (middle, pupil) = (frame.search.sensor.center_px(), micro_images.pupil_px());
-    let mut aberration = Aberration::none(middle, pupil);
-    let (mut wider_px2, mut width) = (0.0, None);
+    let ideal = frame.search.ideal();
+    let mut passed = SecondPassed {
+        aperture_ratio: micro_images.aperture_ratio(),
+        measured_with: ideal,
+        wider_px2: 0.0,
+        corners: Vec::new(),
+        aberration: FittedAberration::none(ideal),
+        information: AberrationInformation::none(),
+        width: None,
+    };
     // The aperture ratio shown by other boards is not estimated again from this one.
     let free = micro_images.settled().is_none();
     for round in 1..=*ROUNDS.end() {
-        let lines: Vec<CornerLine> = corners.iter().map(|c| c.line).collect();
+        let lines: Vec<CornerLine> = expected.iter().map(|c| c.line).collect();
         let Some(field) = SlopeField::fit(&lines) else { break };
         let pinholes =
-            |c: &BoardCorner| (labelled.pinhole(frame.search.board, c.corner), c.line.pinhole());
-        let pinholes: Vec<_> = corners.iter().map(pinholes).collect();
-        let distortion = &Distortion::fit(&pinholes, middle);
-        corners.extend(missing(frame, &corners, labelled, &field));
+            |c: &ExpectedCorner| (labelled.pinhole(frame.search.board, c.corner), c.line.pinhole());
+        let pinholes: Vec<_> = expected.iter().map(pinholes).collect();
+        let distortion = &Distortion::fit(&pinholes, ideal.axis_px);
+        expected.extend(missing(frame, &expected, labelled, &field));
         let (field, rough) = (&field, round == 1);
+        (passed.aperture_ratio, passed.measured_with) =
+            (micro_images.aperture_ratio(), passed.aberration.aberration);
         let pass = CornerSearch {
             frame,
             micro_images: &micro_images,
@@ -130,35 +154,25 @@ pub(super) fn second_pass<'a>(
             field,
             distortion,
             contrast,
-            aberration,
-            wider_px2,
+            aberration: passed.measured_with,
+            wider_px2: passed.wider_px2,
             rough,
         };
-        let outcomes: Vec<Outcome> = corners.par_iter().map(|c| pass.search(c)).collect();
+        let outcomes: Vec<Outcome> = expected.par_iter().map(|c| pass.search(c)).collect();
         // The counts of the last round remain.
         counts.unclear = outcomes.iter().map(|o| o.unclear).sum();
         counts.misplaced = outcomes.iter().map(|o| o.misplaced).sum();
         counts.given_up = outcomes.iter().map(|o| o.given_up).sum();
-        let mut found: Vec<Sought> = outcomes.into_iter().filter_map(|o| o.found).collect();
-        found.sort_by_key(|c| c.corner);
-        let all = found.iter().map(|sought| sought.seen.as_slice());
-        let change = aberration_change(&aberration, &micro_images, (free, wider_px2), all);
-        aberration = aberration.changed(&change);
-        corners.clear();
-        for sought in found {
-            let seen = sought.seen.len();
-            match pass.on_line(sought, &change) {
-                Some(corner) => corners.push(corner),
-                None => counts.given_up += seen,
-            }
-        }
-        let observations = corners.iter().flat_map(|c| &c.observations);
-        let widths: Vec<EdgeWidth> =
-            observations.map(|found| found.width.of_log_ratio(found.radius_by_ratio_px)).collect();
-        width = WidthChange::fit(&widths, wider_px2);
-        let change = width.filter(|_| free).and_then(|width| width.log_ratio());
+        passed.corners = outcomes.into_iter().filter_map(|o| o.found).collect();
+        passed.corners.sort_by_key(|c| c.corner);
+        let settled = passed.settle_alone(frame.search, &micro_images, free, counts);
+        expected = settled
+            .iter()
+            .map(|c| ExpectedCorner { corner: c.corner, line: c.line, is_new: false })
+            .collect();
+        let change = passed.width.filter(|_| free).and_then(|width| width.log_ratio());
         let change = change.filter(|(by, _)| by.abs() > SETTLED);
-        let wider = width.filter(WidthChange::edges_differ);
+        let wider = passed.width.filter(WidthChange::edges_differ);
         let settled = change.is_none() && wider.is_none();
         if round == *ROUNDS.end() || (round >= *ROUNDS.start() && settled) {
             break;
@@ -170,42 +184,123 @@ pub(super) fn second_pass<'a>(
         }
         if let Some(width) = wider {
             let least = -micro_images.point_spread_px2();
-            wider_px2 = (wider_px2 + width.change.y).clamp(least, MOST_WIDER_PX2);
+            passed.wider_px2 = (passed.wider_px2 + width.change.y).clamp(least, MOST_WIDER_PX2);
         }
     }
-    // Corners have no observations if there was no round.
-    corners.retain(|c| !c.observations.is_empty());
-    let is_lost = |corner: &&i32| corners.iter().all(|c| c.corner != **corner);
+    let is_lost = |corner: &&i32| passed.corners.iter().all(|c| c.corner != **corner);
     counts.lost += at_first.iter().filter(is_lost).count();
-    counts.board_corners = corners.len();
-    SecondPassed { micro_images, corners, aberration, wider_px2, width }
+    counts.board_corners = passed.corners.len();
+    passed
+}
+
+impl SecondPassed {
+    /// Estimates aberrations and widths of edges from the corners of this frame alone. Corners without a possible line are
+    /// given up. The others are returned with their lines.
+    fn settle_alone(
+        &mut self,
+        search: &Search,
+        micro_images: &MicroImages,
+        free: bool,
+        counts: &mut FrameCounts,
+    ) -> Vec<SettledCorner> {
+        let seen = self.corners.iter().map(|c| c.seen.as_slice());
+        let (information, widths) =
+            AberrationInformation::of(&self.measured_with, micro_images, seen);
+        let log_ratio = WidthChange::fit(&widths, self.wider_px2)
+            .filter(|_| free)
+            .and_then(|width| width.log_ratio())
+            .map_or(0.0, |(change, _)| change);
+        let log_ratio = micro_images.aperture_ratio().ln() + log_ratio;
+        self.aberration = information.fit(log_ratio, &search.ideal(), search.sensor.mount_px());
+        self.information = information;
+        let change = Change { from: &self.measured_with, to: &self.aberration, log_ratio: 0.0 };
+        let mut settled = Vec::new();
+        self.corners.retain(|corner| {
+            let with_line = corner.settled(micro_images, &change);
+            if with_line.is_none() {
+                counts.given_up += corner.seen.len();
+            }
+            let is_kept = with_line.is_some();
+            settled.extend(with_line);
+            is_kept
+        });
+        let width = |corner: &SettledCorner, seen: &CornerMeasurement| {
+            let optics = micro_images.optics(seen.observation.k, seen.observation.l);
+            let by = optics.blur_by_ratio_px(corner.line.slope, corner.slope_by_ratio);
+            seen.width.of_log_ratio(by)
+        };
+        let widths: Vec<EdgeWidth> =
+            settled.iter().flat_map(|c| c.seen.iter().map(|seen| width(c, seen))).collect();
+        self.width = WidthChange::fit(&widths, self.wider_px2);
+        settled
+    }
+}
+
+impl MeasuredCorner {
+    /// Fits the line after a change of the aberrations and the aperture ratio; `None` if it is not possible. `micro_images`
+    /// have the aperture ratio that the corner was measured with.
+    pub fn settled(&self, micro_images: &MicroImages, change: &Change) -> Option<SettledCorner> {
+        let mut seen = self.seen.clone();
+        let to = &change.to.aberration;
+        let field = to.of_field() - change.from.of_field();
+        let by_unknowns = to.of_field_by_unknowns();
+        for seen in &mut seen {
+            let sensitivities = &mut seen.sensitivities;
+            let by_field = sensitivities.by_aberration * field_terms(&seen.observation.center);
+            let by_ratio = sensitivities.by_taken.column(APERTURE_RATIO).into_owned();
+            let by_unknowns = by_field * by_unknowns;
+            let by_errors = by_unknowns * change.to.errors;
+            sensitivities.by_taken.fixed_columns_mut::<UNKNOWNS>(ABERRATIONS).copy_from(&by_errors);
+            // An error of the aperture ratio is also an error of the aberrations that follow from it.
+            let by_ratio_too = by_ratio + by_unknowns * change.to.by_log_ratio;
+            sensitivities.by_taken.set_column(APERTURE_RATIO, &by_ratio_too);
+            seen.moved(&(by_field * field + by_ratio * change.log_ratio));
+        }
+        let fitted = FittedLine::fit(seen.iter().map(CornerMeasurement::on_line))?;
+        let line = fitted.line;
+        let by_taken = fitted.derivatives(seen.iter().map(|seen| seen.sensitivities.by_taken))?;
+        for seen in &mut seen {
+            let optics = micro_images.optics(seen.observation.k, seen.observation.l);
+            // A change of positions changes the slope of the line, and this changes the blur.
+            seen.take_slope(&by_taken.row(2).into_owned());
+            seen.change_slope(line.slope, &optics);
+        }
+        let slope_by_ratio = by_taken[(2, APERTURE_RATIO)];
+        let possible = possible_slope(line.slope, micro_images.configuration);
+        possible.then_some(SettledCorner { corner: self.corner, line, slope_by_ratio, seen })
+    }
+
+    /// Removes the measurements off the line of a corner; `None` if too few remain.
+    fn near_line(corner: i32, mut seen: Vec<CornerMeasurement>) -> Option<Self> {
+        let line = CornerLine::fit(seen.iter().map(CornerMeasurement::on_line))?;
+        let scale = line.rms_px.max(LEAST_RMS_PX);
+        seen.retain(|seen| {
+            let o = seen.on_line();
+            (o.position - line.at(&o.center)).norm() < OUTLIER * scale
+        });
+        (seen.len() > 1).then_some(Self { corner, seen })
+    }
 }
 
 /// Returns the corners in view that are not among some, on the lines that these predict.
 fn missing(
     frame: &Frame,
-    corners: &[BoardCorner],
+    corners: &[ExpectedCorner],
     labelled: &LabelledBoard,
     field: &SlopeField,
-) -> Vec<BoardCorner> {
+) -> Vec<ExpectedCorner> {
     let board = frame.search.board;
     (0..board.corners())
         .filter(|corner| corners.iter().all(|c| c.corner != *corner))
         .map(|corner| (corner, labelled.pinhole(board, corner)))
         .filter(|(_, p)| frame.in_view(p, MARGIN))
-        .map(|(corner, p)| BoardCorner::expected(corner, CornerLine::through(&p, field.at(&p))))
+        .map(|(corner, p)| ExpectedCorner::new(corner, CornerLine::through(&p, field.at(&p))))
         .collect()
-}
-
-/// Corner of the board that was searched for, with its measurements near its line.
-struct Sought {
-    pub corner: i32,
-    pub seen: Vec<CornerMeasurement>,
 }
 
 /// Result of the search for a board corner, with numbers of micro-images that should show it.
 struct Outcome {
-    pub found: Option<Sought>,
+    pub found: Option<MeasuredCorner>,
     pub unclear: usize,
     pub misplaced: usize,
     pub given_up: usize,
@@ -239,7 +334,7 @@ struct Room {
 
 impl CornerSearch<'_> {
     /// Searches for a corner in every micro-image that should show it.
-    pub fn search(&self, sought: &BoardCorner) -> Outcome {
+    pub fn search(&self, sought: &ExpectedCorner) -> Outcome {
         let micro_images = self.micro_images;
         let (pinhole, slope) = (sought.line.pinhole(), sought.line.slope);
         let lit = |optics: MicroOptics| optics.lit_px(optics.blur_radius_px(slope));
@@ -248,7 +343,7 @@ impl CornerSearch<'_> {
         let (mut observations, mut imbalances, mut unclear) = (Vec::new(), Vec::new(), 0);
         let mut room = Room::default();
         let step = nodes.len().div_ceil(ENOUGH).max(1);
-        let (mut next, is_new) = (0, sought.observations.is_empty());
+        let (mut next, is_new) = (0, sought.is_new);
         for (i, node) in nodes.into_iter().enumerate() {
             let center = micro_images.center(node.0, node.1);
             let optics = micro_images.optics(node.0, node.1);
@@ -271,7 +366,8 @@ impl CornerSearch<'_> {
         // The outer corners of the board look like corners in some micro-images, but not in most.
         let is_corner = !is_new || median(imbalances).is_some_and(|median| median < IMBALANCE);
         let all = observations.len();
-        let found = if is_corner { Sought::near_line(sought, observations) } else { None };
+        let found =
+            if is_corner { MeasuredCorner::near_line(sought.corner, observations) } else { None };
         let kept = found.as_ref().map_or(0, |found| found.seen.len());
         let (misplaced, given_up) = if found.is_some() { (all - kept, 0) } else { (0, all) };
         Outcome { found, unclear, misplaced, given_up }
@@ -280,7 +376,7 @@ impl CornerSearch<'_> {
     /// Measures a corner in a micro-image, and its imbalance if requested; `None` if it is not clearly visible.
     fn seen(
         &self,
-        sought: &BoardCorner,
+        sought: &ExpectedCorner,
         node: (i32, i32),
         with_imbalance: bool,
         room: &mut Room,
@@ -324,7 +420,12 @@ impl CornerSearch<'_> {
     }
 
     /// Returns the expected corner in the micro-image about `center`, whose mean light is `level`.
-    fn expected_corner(&self, sought: &BoardCorner, center: &Vector2<f64>, level: f64) -> Corner {
+    fn expected_corner(
+        &self,
+        sought: &ExpectedCorner,
+        center: &Vector2<f64>,
+        level: f64,
+    ) -> Corner {
         let (pinhole, nearness) = (sought.line.pinhole(), 1.0 - sought.line.slope);
         // Towards the next corner the slope changes, and with it the magnification.
         let seen = |step: &Vector2<f64>| {
@@ -351,47 +452,5 @@ impl CornerSearch<'_> {
     fn is_even(&self, corner: i32) -> bool {
         let columns = self.frame.search.board.columns;
         (corner / columns + corner % columns) % 2 == 0
-    }
-
-    /// Fits the line of a corner with a change of the aberrations.
-    pub fn on_line(&self, found: Sought, change: &Vector3<f64>) -> Option<BoardCorner> {
-        let Sought { corner, mut seen } = found;
-        for seen in &mut seen {
-            seen.change_aberration(change);
-        }
-        let fitted = FittedLine::fit(seen.iter().map(CornerMeasurement::on_line))?;
-        let line = fitted.line;
-        let by_taken = fitted.derivatives(seen.iter().map(|seen| seen.sensitivities.by_taken))?;
-        let by_ratio = by_taken.column(APERTURE_RATIO);
-        let line_by_ratio = CornerLine::exact(by_ratio.xy(), by_ratio.z);
-        let found = |mut seen: CornerMeasurement| {
-            let optics = self.micro_images.optics(seen.observation.k, seen.observation.l);
-            // A change of positions changes the slope of the line, and this changes the blur.
-            seen.take_slope(&by_taken.row(2).into_owned());
-            seen.change_slope(line.slope, &optics);
-            Found {
-                observation: seen.observation,
-                corner: seen.corner,
-                by_taken: seen.sensitivities.by_taken,
-                width: seen.width,
-                radius_by_ratio_px: optics.blur_by_ratio_px(line.slope, by_ratio.z),
-            }
-        };
-        let observations = seen.into_iter().map(found).collect();
-        let possible = possible_slope(line.slope, self.frame.search.micro_images.configuration);
-        possible.then_some(BoardCorner { corner, line, line_by_ratio, observations })
-    }
-}
-
-impl Sought {
-    /// Removes the measurements off the line of a corner; `None` if too few remain.
-    fn near_line(sought: &BoardCorner, mut seen: Vec<CornerMeasurement>) -> Option<Self> {
-        let line = CornerLine::fit(seen.iter().map(CornerMeasurement::on_line))?;
-        let scale = line.rms_px.max(LEAST_RMS_PX);
-        seen.retain(|seen| {
-            let o = seen.on_line();
-            (o.position - line.at(&o.center)).norm() < OUTLIER * scale
-        });
-        (seen.len() > 1).then_some(Self { corner: sought.corner, seen })
     }
 }

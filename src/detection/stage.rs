@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use super::aberration_fit::AberrationInformation;
 use super::board_images::{BoardImage, DetectedBoards, DetectedFrame};
 use super::detect_frame::detect_frame;
 use super::edge_width::{EdgeWidth, OfFrames};
@@ -56,12 +57,17 @@ pub fn detect<'i>(
         None => found_ratio.map_or(known, |ratio| ratio.value),
     };
     let settled = micro_images.with_aperture_ratio(fitted_with);
-    let detections = frames.iter_mut().filter_map(|frame| frame.result.as_mut().ok());
+    let mut information = AberrationInformation::none();
+    for detection in frames.iter().filter_map(|frame| frame.result.as_ref().ok()) {
+        information.add(detection.about_aberration());
+    }
+    let aberration = information.fit(fitted_with.ln(), &search.ideal(), search.sensor.mount_px());
     let mut alike = widths.iter().flat_map(|widths| &widths.alike);
-    for detection in detections {
+    for frame in &mut frames {
+        let Ok(detection) = &mut frame.result else { continue };
         let alike = detection.edges.is_some() && alike.next().is_some_and(|alike| *alike);
         let wider_px2 = widths.as_ref().filter(|_| alike).map(|widths| widths.wider_px2);
-        detection.settle(&settled, wider_px2);
+        frame.counts.given_up += detection.settle(&settled, &aberration, wider_px2);
     }
     let mut findings = findings(&frames, search.board, subset);
     findings.extend(found_ratio.as_ref().and_then(|ratio| of_other_boards(ratio, micro_images)));

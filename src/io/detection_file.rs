@@ -24,7 +24,7 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
             "spherical_per_px2": spherical,
             "coma_per_px2": coma,
             "astigmatism_per_px2": astigmatism,
-            "middle_px": [a.middle_px.x, a.middle_px.y],
+            "axis_px": [a.axis_px.x, a.axis_px.y],
             "zone_px": a.zone_px2.sqrt(),
         })
     };

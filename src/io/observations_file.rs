@@ -16,6 +16,7 @@ use crate::calibration::ProblemFeature;
 use crate::error::{Error, Observed, Result};
 use crate::model::{
     BapFeature, Board, MeasuredBlur, MicroImageCenter, Observations, TAKEN, check_aperture_ratio,
+    taken,
 };
 use crate::quantity::Estimate;
 use crate::solver::{MicroPixel, VirtualPoint};
@@ -155,6 +156,11 @@ const SENSITIVITIES: [[&str; 2]; TAKEN] = [
     ["du_fall_off", "dv_fall_off"],
     ["du_aperture_ratio", "dv_aperture_ratio"],
     ["du_point_spread", "dv_point_spread"],
+    ["du_aberration_1", "dv_aberration_1"],
+    ["du_aberration_2", "dv_aberration_2"],
+    ["du_aberration_3", "dv_aberration_3"],
+    ["du_aberration_4", "dv_aberration_4"],
+    ["du_aberration_5", "dv_aberration_5"],
 ];
 
 /// Columns of [`BapFeature::blur`].
@@ -255,21 +261,23 @@ impl Row<'_> {
         self.text(name).map(|_| self.number(name)).transpose()
     }
 
-    /// Reads all sensitivities; `None` if there are none.
+    /// Reads all sensitivities; `None` if there are none. Files of older versions have none to aberrations, which are 0 then.
     fn sensitivities(&self) -> Result<Option<[[f64; 2]; TAKEN]>> {
         let mut sensitivities = [[0.0; 2]; TAKEN];
-        let mut missing = 0;
-        for (sensitivity, name) in
-            sensitivities.as_flattened_mut().iter_mut().zip(SENSITIVITIES.as_flattened())
-        {
+        let (whites, aberrations) = SENSITIVITIES.split_at(taken::ABERRATIONS);
+        let mut missing = [0; 2];
+        for (i, name) in SENSITIVITIES.as_flattened().iter().enumerate() {
             match self.measured(name)? {
-                Some(value) => *sensitivity = value,
-                None => missing += 1,
+                Some(value) => sensitivities.as_flattened_mut()[i] = value,
+                None => missing[i / (2 * whites.len())] += 1,
             }
         }
+        let all = [whites, aberrations].map(|names| 2 * names.len());
         match missing {
-            0 => Ok(Some(sensitivities)),
-            missing if missing == 2 * TAKEN => Ok(None),
+            [0, aberrations] if aberrations == 0 || aberrations == all[1] => {
+                Ok(Some(sensitivities))
+            }
+            missing if missing == all => Ok(None),
             _ => Err(self.error(&format!(
                 "the columns {} are needed together, but some are missing: detect the boards again \
                  if an older version wrote the file; otherwise remove all of these columns",

@@ -38,8 +38,8 @@ pub(crate) use levels::full_scale;
 pub use noise::{Noise, NoiseSource};
 pub(crate) use observations::check_centers;
 pub use observations::{
-    BapFeature, MIN_CORNERS, MeasuredBlur, MicroImageCenter, Observations, TAKEN,
-    TAKEN_FROM_WHITES, taken,
+    BapFeature, MIN_CORNERS, MeasuredBlur, MicroImageCenter, Observations, TAKEN, TAKEN_QUANTITIES,
+    taken,
 };
 pub use parameters::{MAX_LENS_TYPES, Parameter, SHAPE};
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};

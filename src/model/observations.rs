@@ -43,8 +43,8 @@ pub struct BapFeature {
     pub correlation: f64,
     /// Standard deviation of ρ, px, if measured.
     pub rho_std_dev_px: Option<f64>,
-    /// Sensitivities of u and v to the quantities [`TAKEN_FROM_WHITES`], if known: px per relative change of each, and per px²
-    /// of the point spread.
+    /// Sensitivities of u and v to the quantities [`TAKEN_QUANTITIES`], if known: px per relative change of each, per px² of the
+    /// point spread, and per standard deviation of each combination of the aberrations.
     pub sensitivities_px: Option<[[f64; 2]; TAKEN]>,
     /// Blur radius from the width of its edges, if measured.
     pub blur: Option<MeasuredBlur>,
@@ -64,14 +64,25 @@ pub struct MeasuredBlur {
     pub aperture_ratio: f64,
 }
 
-/// Number of quantities from white images on which the position of a corner depends.
-pub const TAKEN: usize = 5;
+/// Number of quantities that the measurement of a position takes as known.
+pub const TAKEN: usize = 10;
 /// Names of these quantities: radius a of the exit pupil seen through the middle of a micro-lens; q'ᵢ; angular response H
-/// inside a micro-image; aperture ratio, with the qᵢ that white images show; variance of the point spread.
-pub const TAKEN_FROM_WHITES: [&str; TAKEN] =
-    ["pupil", "intercept", "fall_off", "aperture_ratio", "point_spread"];
+/// inside a micro-image; aperture ratio, with the qᵢ that white images show; variance of the point spread; and five
+/// independent combinations of the aberrations S, C and T of the main lens and its optical axis.
+pub const TAKEN_QUANTITIES: [&str; TAKEN] = [
+    "pupil",
+    "intercept",
+    "fall_off",
+    "aperture_ratio",
+    "point_spread",
+    "aberration_1",
+    "aberration_2",
+    "aberration_3",
+    "aberration_4",
+    "aberration_5",
+];
 
-/// Indices of the quantities in [`TAKEN_FROM_WHITES`].
+/// Indices of the quantities in [`TAKEN_QUANTITIES`].
 pub mod taken {
     /// Index of the pupil radius a.
     pub const PUPIL: usize = 0;
@@ -83,6 +94,10 @@ pub mod taken {
     pub const APERTURE_RATIO: usize = 3;
     /// Index of the variance of the point spread along an axis.
     pub const POINT_SPREAD: usize = 4;
+    /// Index of the first combination of the aberrations.
+    pub const ABERRATIONS: usize = 5;
+    /// Number of combinations of the aberrations.
+    pub const ABERRATION_COUNT: usize = super::TAKEN - ABERRATIONS;
 }
 
 /// Observations of a calibration.

@@ -27,6 +27,9 @@ pub struct Sensor {
     pub pixel_size_mm: f64,
 }
 
+/// Standard deviation of the distance of the optical axis from the middle of the sensor due to the mount, mm.
+const MOUNT_MM: f64 = 0.5;
+
 impl fmt::Display for Sensor {
     /// Formats the sensor, such as `1000 x 750 px of 0.0055 mm`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -45,6 +48,12 @@ impl Sensor {
     #[must_use]
     pub fn center_px(&self) -> Vector2<f64> {
         Vector2::new(f64::from(self.width_px) - 1.0, f64::from(self.height_px) - 1.0) / 2.0
+    }
+
+    /// Returns the standard deviation of the distance of the optical axis from the middle of the image, due to the mount of
+    /// the lens, along u and along v, px.
+    pub(crate) fn mount_px(&self) -> f64 {
+        MOUNT_MM / self.pixel_size_mm
     }
 
     /// Returns true if a position lies between the centres of the outermost pixels.

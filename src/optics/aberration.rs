@@ -4,11 +4,11 @@
 //! micro-lens images there. An ideal main lens sends all light from a point to one pinhole image p, and c − p = A w, with
 //! A = 1/(γ − 1) for a line of slope γ. A real lens displaces each ray by E(w) where it meets the array:
 //!
-//!   c − p = A w + E(w),  E(w) = S w (|w|² − z²) + C (2 w (h·w) + h |w|²) + T h (h·w),
+//!   c − p = A w + E(w),  E(w) = S w (|w|² − z²) + 2 w (b·w) + b |w|² + M w,  b = C h,  M = T h hᵀ.
 //!
 //! The terms are spherical aberration, coma and astigmatism of the third order (Seidel), where h is the position relative to
-//! the middle of the image. E does not depend on the distance of the point: a ray deflected by an angle at the pupil moves by D
-//! times this angle at the array. Field curvature and distortion change A and p of each corner, which are free anyway.
+//! the optical axis. E does not depend on the distance of the point: a ray deflected by an angle at the pupil moves by D times
+//! this angle at the array. Field curvature and distortion change A and p of each corner, which are free anyway.
 //!
 //! Corrected positions w + E(w)/A lie on the line of a corner: the line of rays near the middle of the pupil, which are focused
 //! like the rays through the zone z. The choice of the zone is free: an S with another z equals the same S with another A. With
@@ -17,13 +17,13 @@
 //! E displaces each ray of the blur according to its own point of the pupil. The same blur for all rays would hide three
 //! quarters of the aberration, and turn them into errors of position.
 
-use nalgebra::{Scalar, Vector2, Vector3};
+use nalgebra::{SMatrix, SVector, Scalar, Vector2, Vector3, Vector6};
 
 /// Aberrations of the third order, on the scale of micro-images.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Aberration {
-    /// Point of the image where h = 0, px.
-    pub middle_px: Vector2<f64>,
+    /// Optical axis: the point of the image where h = 0, px.
+    pub axis_px: Vector2<f64>,
     /// Square z² of the zone, px².
     pub zone_px2: f64,
     /// Coefficients S, C and T, px⁻².
@@ -33,76 +33,166 @@ pub struct Aberration {
 /// Transverse aberration E(w)/A of a corner in one micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Bend<T: Scalar = f64> {
-    /// Position h, px.
-    pub field: Vector2<T>,
     /// Square z² of the zone, px².
     pub zone2: T,
-    /// Coefficients S, C and T over A, px⁻².
-    pub coefficients: Vector3<T>,
+    /// S, b along u and v, and M along uu, uv and vv, over A: px⁻², px⁻¹ and without unit.
+    pub coefficients: Vector6<T>,
 }
+
+/// Number of unknowns of [`Aberration`]: S, C, T, and the axis along u and v.
+pub(crate) const UNKNOWNS: usize = 5;
+/// Number of coefficients of [`field_terms`].
+pub(crate) const FIELD: usize = 10;
 
 /// z² over the squared radius of the pupil.
 const ZONE: f64 = 2.0 / 3.0;
+
+/// Returns S, b and M at a position x of the image, in the order of [`Bend`], as a linear function of ten coefficients:
+///
+///   b = C x + b₀,  M = T x xᵀ + x kᵀ + k xᵀ + M₀,
+///
+/// in the order S, C, b₀, T, k, M₀. Without h = x − axis, which is not linear, the sums of squares of all frames can be added.
+pub(crate) fn field_terms(x: &Vector2<f64>) -> SMatrix<f64, 6, FIELD> {
+    let (u, v) = (x.x, x.y);
+    SMatrix::from_row_slice(&[
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0, //
+        0.0,
+        u,
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0, //
+        0.0,
+        v,
+        0.0,
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0, //
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        u * u,
+        2.0 * u,
+        0.0,
+        1.0,
+        0.0,
+        0.0, //
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        u * v,
+        v,
+        u,
+        0.0,
+        1.0,
+        0.0, //
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        v * v,
+        0.0,
+        2.0 * v,
+        0.0,
+        0.0,
+        1.0,
+    ])
+}
+
 impl Aberration {
-    /// Creates an ideal main lens, for a pupil of this radius, with h = 0 at `middle_px`.
-    pub(crate) fn none(middle_px: Vector2<f64>, pupil_px: f64) -> Self {
+    /// Creates an ideal main lens, for a pupil of this radius, with the optical axis at `axis_px`.
+    pub(crate) fn none(axis_px: Vector2<f64>, pupil_px: f64) -> Self {
         let zone_px2 = ZONE * pupil_px.powi(2);
-        Self { middle_px, zone_px2, coefficients_per_px2: Vector3::zeros() }
+        Self { axis_px, zone_px2, coefficients_per_px2: Vector3::zeros() }
     }
 
     /// Returns the aberration in the micro-image about `center`, for a corner with a line of this slope.
     pub(crate) fn bend(&self, center: &Vector2<f64>, slope: f64) -> Bend {
-        Bend {
-            field: center - self.middle_px,
-            zone2: self.zone_px2,
-            coefficients: self.coefficients_per_px2 * (slope - 1.0),
-        }
+        Bend { zone2: self.zone_px2, coefficients: self.at(center) * (slope - 1.0) }
     }
 
-    /// Returns the aberrations with a change added to S, C and T.
-    pub(crate) fn changed(self, change: &Vector3<f64>) -> Self {
-        Self { coefficients_per_px2: self.coefficients_per_px2 + change, ..self }
+    /// Returns S, b and M in the micro-image about `center`.
+    pub(crate) fn at(&self, center: &Vector2<f64>) -> Vector6<f64> {
+        field_terms(center) * self.of_field()
+    }
+
+    /// Returns the coefficients of [`field_terms`].
+    pub(crate) fn of_field(&self) -> SVector<f64, FIELD> {
+        let [s, c, t] = self.coefficients_per_px2.into();
+        let (u, v) = (self.axis_px.x, self.axis_px.y);
+        [s, c, -c * u, -c * v, t, -t * u, -t * v, t * u * u, t * u * v, t * v * v].into()
+    }
+
+    /// Returns the derivatives of [`Self::of_field`] by S, C, T and the axis.
+    pub(crate) fn of_field_by_unknowns(&self) -> SMatrix<f64, FIELD, UNKNOWNS> {
+        let [_, c, t] = self.coefficients_per_px2.into();
+        let (u, v) = (self.axis_px.x, self.axis_px.y);
+        SMatrix::from_columns(&[
+            SVector::from([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+            SVector::from([0.0, 1.0, -u, -v, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+            SVector::from([0.0, 0.0, 0.0, 0.0, 1.0, -u, -v, u * u, u * v, v * v]),
+            SVector::from([0.0, 0.0, -c, 0.0, 0.0, -t, 0.0, 2.0 * t * u, t * v, 0.0]),
+            SVector::from([0.0, 0.0, 0.0, -c, 0.0, 0.0, -t, 0.0, t * u, 2.0 * t * v]),
+        ])
     }
 }
 
 impl Bend {
     /// Creates the aberration of an ideal main lens, which is 0.
     pub fn none() -> Self {
-        Self { field: Vector2::zeros(), zone2: 0.0, coefficients: Vector3::zeros() }
+        Self { zone2: 0.0, coefficients: Vector6::zeros() }
     }
 
     /// Returns the aberration in single precision, like the light.
     #[allow(clippy::cast_possible_truncation)]
     pub fn in_single(&self) -> Bend<f32> {
-        Bend {
-            field: self.field.map(|x| x as f32),
-            zone2: self.zone2 as f32,
-            coefficients: self.coefficients.map(|x| x as f32),
-        }
+        Bend { zone2: self.zone2 as f32, coefficients: self.coefficients.map(|x| x as f32) }
     }
 }
 
 impl Bend<f32> {
     /// Returns an upper bound of |E(w)/A| in a pupil of this radius, px.
     pub fn largest(&self, pupil: f32) -> f32 {
-        let [spherical, coma, astigmatism] = self.coefficients.map(f32::abs).into();
-        let (square, field) = (pupil * pupil, self.field.norm());
-        spherical * pupil * square.max(self.zone2)
-            + coma * 3.0 * field * square
-            + astigmatism * field * field * pupil
+        let [spherical, coma_u, coma_v, uu, uv, vv] = self.coefficients.into();
+        let square = pupil * pupil;
+        spherical.abs() * pupil * square.max(self.zone2)
+            + coma_u.hypot(coma_v) * 3.0 * square
+            + (uu * uu + 2.0 * uv * uv + vv * vv).sqrt() * pupil
     }
 }
 
 #[cfg(test)]
 impl Bend {
-    /// Returns the derivatives of E(w)/A by S/A, C/A and T/A at the point w of the pupil, px³.
-    pub fn terms(&self, pupil: &Vector2<f64>) -> nalgebra::Matrix2x3<f64> {
+    /// Returns the derivatives of E(w)/A by its coefficients at the point w of the pupil.
+    pub fn terms(&self, pupil: &Vector2<f64>) -> nalgebra::Matrix2x6<f64> {
         let square = pupil.norm_squared();
-        let along = self.field.dot(pupil);
-        nalgebra::Matrix2x3::from_columns(&[
+        let (x, y) = (pupil.x, pupil.y);
+        nalgebra::Matrix2x6::from_columns(&[
             pupil * (square - self.zone2),
-            pupil * (along + along) + self.field * square,
-            self.field * along,
+            pupil * (2.0 * x) + Vector2::new(square, 0.0),
+            pupil * (2.0 * y) + Vector2::new(0.0, square),
+            Vector2::new(x, 0.0),
+            Vector2::new(y, x),
+            Vector2::new(0.0, y),
         ])
     }
 
@@ -114,22 +204,51 @@ impl Bend {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Matrix2x3;
+    use nalgebra::Matrix2;
 
     use super::*;
 
-    /// Compares with terms calculated by hand: for h = (100, 0) and w = (3, 4), |w|² is 25 and h·w is 300.
+    /// Compares with terms calculated by hand: for h = (100, 0) and w = (3, 4), |w|² is 25 and h·w is 300. z² = 2/3 · 36 = 24.
     #[test]
     fn the_terms_are_those_of_seidel() {
-        let aberration = Aberration::none(Vector2::zeros(), 6.0);
-        let bend = aberration.bend(&Vector2::new(100.0, 0.0), 0.75);
-        let terms = bend.terms(&Vector2::new(3.0, 4.0));
-        let by_hand = Matrix2x3::from_columns(&[
+        let axis = Vector2::new(20.0, -30.0);
+        let by_hand = [
             Vector2::new(3.0, 4.0),
             Vector2::new(600.0 * 3.0 + 2500.0, 600.0 * 4.0),
             Vector2::new(30_000.0, 0.0),
-        ]);
-        // z² = 2/3 · 36 = 24.
-        assert!((terms - by_hand).norm() < 1e-9, "{terms}");
+        ];
+        for (i, expected) in by_hand.into_iter().enumerate() {
+            let mut aberration = Aberration::none(axis, 6.0);
+            aberration.coefficients_per_px2[i] = 1.0;
+            let bend = aberration.bend(&Vector2::new(120.0, -30.0), 0.75);
+            let found = bend.at(&Vector2::new(3.0, 4.0));
+            assert!((found + expected * 0.25).norm() < 1e-9, "{i}: {found}");
+        }
+    }
+
+    #[test]
+    fn derivatives_by_coefficients_and_axis_are_those_of_the_field() {
+        let center = Vector2::new(310.0, -170.0);
+        let with = |x: &SVector<f64, UNKNOWNS>| Aberration {
+            axis_px: x.fixed_rows::<2>(3).into_owned(),
+            zone_px2: 24.0,
+            coefficients_per_px2: x.fixed_rows::<3>(0).into_owned(),
+        };
+        let at = SVector::from([3e-3, 2e-5, -4e-7, 40.0, -25.0]);
+        let steps = [1e-5, 1e-7, 1e-9, 0.5, 0.5];
+        let found = field_terms(&center) * with(&at).of_field_by_unknowns();
+        for (i, step) in steps.into_iter().enumerate() {
+            let moved = |by: f64| {
+                let mut x = at;
+                x[i] += by;
+                with(&x).at(&center)
+            };
+            let expected = (moved(step) - moved(-step)) / (2.0 * step);
+            let error = (found.column(i) - expected).norm();
+            assert!(error < 1e-9 * expected.norm(), "{i}: {error}");
+        }
+        // M is symmetric and has the rank 1 with an axis.
+        let [_, _, _, uu, uv, vv] = with(&at).at(&center).into();
+        assert!(Matrix2::new(uu, uv, uv, vv).determinant().abs() < 1e-12);
     }
 }

@@ -72,14 +72,17 @@ pub(crate) enum Column {
     PointSpread,
     /// Decrease H of the angular response, per px⁻².
     FallOff,
-    /// Coefficients of spherical aberration, coma and astigmatism over A, px³.
+    /// Aberrations over A, in the order of [`Bend`].
     Spherical,
-    Coma,
-    Astigmatism,
+    ComaU,
+    ComaV,
+    AstigmatismUU,
+    AstigmatismUV,
+    AstigmatismVV,
 }
 
 /// Number of all columns, and of the columns up to the derivatives by position.
-const COLUMNS: usize = 12;
+const COLUMNS: usize = 15;
 const PLACE_COLUMNS: usize = 3;
 /// Quantities that also change white light: q, a, the point spread and H.
 const OF_LIGHT: [Column; 4] =
@@ -553,7 +556,6 @@ impl<S: Simd> NodeSums<S> {
         let cell = bundle.quadrature.variance;
         let follows = moments.follows;
         let (squared, cubed) = (follows * follows, follows * follows * follows);
-        let [spherical, coma, astigmatism] = bundle.bend.coefficients.into();
         let (cut, outwards) = if INSIDE {
             (Cut::none(simd), [Lanes::splat(simd, 0.0); 2])
         } else {
@@ -570,15 +572,11 @@ impl<S: Simd> NodeSums<S> {
             let inwards = cut.mean * moments.spread;
             [*y_x - inwards * outwards[0], *y_y - inwards * outwards[1]]
         };
-        let terms = seidel_terms(&bundle.bend, in_pupil);
-        let [by_spherical, by_coma, by_astigmatism] = terms;
+        let bent = bent(simd, &bundle.bend, in_pupil);
         let mut mean = [*p_x - w_x * rho, *p_y - w_y * rho];
         let inwards = cut.mean * follows;
         for i in 0..2 {
-            mean[i] = mean[i]
-                + (by_spherical[i] * spherical
-                    + by_coma[i] * coma
-                    + by_astigmatism[i] * astigmatism);
+            mean[i] = mean[i] + bent[i];
             if !INSIDE {
                 mean[i] = mean[i] - inwards * outwards[i];
             }
@@ -644,12 +642,13 @@ impl<S: Simd> NodeSums<S> {
             (Column::EdgeVariance, by_width),
             (Column::PointSpread, of_light[0]),
             (Column::FallOff, of_light[1]),
-            (Column::Spherical, by_origin(by_place, by_spherical)),
-            (Column::Coma, by_origin(by_place, by_coma)),
-            (Column::Astigmatism, by_origin(by_place, by_astigmatism)),
         ];
         for (column, value) in values {
             let column = &mut columns[column as usize];
+            *column = light.mul_add(value, *column);
+        }
+        let by_bend = by_bend(&bundle.bend, in_pupil, by_place);
+        for (column, value) in columns[Column::Spherical as usize..].iter_mut().zip(by_bend) {
             *column = light.mul_add(value, *column);
         }
     }
@@ -672,18 +671,40 @@ fn relative_to_white<S: Simd>(
     }
 }
 
-/// Returns the displacements by one unit of spherical aberration, coma and astigmatism over A at a point of the pupil, px³; see
-/// [`super::Aberration`].
+/// Returns E/A at a point of the pupil, px: see [`super::Aberration`].
 #[inline(always)]
-fn seidel_terms<S: Simd>(bend: &Bend<f32>, [x, y]: [Lanes<S>; 2]) -> [[Lanes<S>; 2]; 3] {
+fn bent<S: Simd>(simd: S, bend: &Bend<f32>, [x, y]: [Lanes<S>; 2]) -> [Lanes<S>; 2] {
+    let [spherical, coma_u, coma_v, uu, uv, vv] = bend.coefficients.into();
     let square = x.mul_add(x, y * y);
-    let along = x * bend.field.x + y * bend.field.y;
-    let of_zone = square - bend.zone2;
-    let twice = along + along;
+    let along = x * coma_u + y * coma_v;
+    let common = (square - bend.zone2) * spherical + (along + along);
+    let [coma_u, coma_v, uu, uv, vv] =
+        [coma_u, coma_v, uu, uv, vv].map(|value| Lanes::splat(simd, value));
     [
-        [x * of_zone, y * of_zone],
-        [x.mul_add(twice, square * bend.field.x), y.mul_add(twice, square * bend.field.y)],
-        [along * bend.field.x, along * bend.field.y],
+        x.mul_add(common + uu, square.mul_add(coma_u, y * uv)),
+        y.mul_add(common + vv, square.mul_add(coma_v, x * uv)),
+    ]
+}
+
+/// Returns the derivatives by the aberrations over A, in the order of [`Bend`], from the derivatives by the position of the
+/// corner.
+#[inline(always)]
+fn by_bend<S: Simd>(
+    bend: &Bend<f32>,
+    [x, y]: [Lanes<S>; 2],
+    [by_u, by_v]: [Lanes<S>; 2],
+) -> [Lanes<S>; 6] {
+    let square = x.mul_add(x, y * y);
+    let (x_by_u, y_by_v) = (x * by_u, y * by_v);
+    let radial = -(x_by_u + y_by_v);
+    let twice = radial + radial;
+    [
+        radial * (square - bend.zone2),
+        x * twice - square * by_u,
+        y * twice - square * by_v,
+        -x_by_u,
+        -(y * by_u + x * by_v),
+        -y_by_v,
     ]
 }
 
@@ -815,12 +836,9 @@ mod tests {
     fn derivatives_are_those_of_the_light() {
         let oracle = Oracle { point_spread_px2: 0.1, ..Oracle::default() };
         let places = places(&oracle);
-        let (field, middle) = (Vector2::new(400.0, -300.0), Vector2::zeros());
-        let bend = |coefficients: [f64; 3]| {
-            Aberration::none(middle, oracle.pupil).changed(&coefficients.into()).bend(&field, 0.75)
-        };
-        // Coefficients over A are −1/4 of these.
-        let known = [2e-4, 1e-6, -2e-7];
+        let zone2 = Aberration::none(Vector2::zeros(), oracle.pupil).zone_px2;
+        let bend = |coefficients: [f64; 6]| Bend { zone2, coefficients: coefficients.into() };
+        let known = [-5e-5, -1e-4, 7.5e-5, 8e-3, -6e-3, 4.5e-3];
         let all = |rho: f64, q: f64, pupil: f64, spread: f64, within: f64, wider: f64| {
             let law = Obliquity { within_per_px2: within, ..oracle.law() };
             Bundle::new(rho, q, pupil, spread).oblique(&law).aberrated(&bend(known)).wider(wider)
@@ -840,7 +858,7 @@ mod tests {
         };
         let aberrated = |i: usize, by: f64| {
             let mut coefficients = known;
-            coefficients[i] -= 4.0 * by;
+            coefficients[i] += by;
             with([0.0; 6]).aberrated(&bend(coefficients))
         };
         let still = with([0.0; 6]);
@@ -851,7 +869,7 @@ mod tests {
             by[i] = step;
             with(by)
         };
-        let changes: [Change; 11] = [
+        let changes: [Change; 14] = [
             (Column::U, 0.02, &|s| light(&still, &moved(Vector2::x() * s), &places), 0.03),
             (Column::V, 0.02, &|s| light(&still, &moved(Vector2::y() * s), &places), 0.03),
             (Column::BlurRadius, 0.02, &|s| light(&one(0, s), &edges(), &places), 0.05),
@@ -861,8 +879,11 @@ mod tests {
             (Column::FallOff, 2e-4, &|s| light(&one(4, s), &edges(), &places), 0.12),
             (Column::EdgeVariance, 0.01, &|s| light(&one(5, s), &edges(), &places), 0.1),
             (Column::Spherical, 1e-5, &|s| light(&aberrated(0, s), &edges(), &places), 0.05),
-            (Column::Coma, 1e-7, &|s| light(&aberrated(1, s), &edges(), &places), 0.05),
-            (Column::Astigmatism, 1e-8, &|s| light(&aberrated(2, s), &edges(), &places), 0.05),
+            (Column::ComaU, 4e-5, &|s| light(&aberrated(1, s), &edges(), &places), 0.05),
+            (Column::ComaV, 4e-5, &|s| light(&aberrated(2, s), &edges(), &places), 0.05),
+            (Column::AstigmatismUU, 1e-3, &|s| light(&aberrated(3, s), &edges(), &places), 0.05),
+            (Column::AstigmatismUV, 1e-3, &|s| light(&aberrated(4, s), &edges(), &places), 0.05),
+            (Column::AstigmatismVV, 1e-3, &|s| light(&aberrated(5, s), &edges(), &places), 0.05),
         ];
         for (column, step, changed, limit) in changes {
             let (more, less) = (changed(step), changed(-step));

@@ -16,7 +16,7 @@
 //! light is the sum of these rays. The light of a checkerboard corner, relative to white light, is the mean of the checkerboard
 //! pattern over them ([`Bundle`]).
 
-mod aberration;
+pub(crate) mod aberration;
 mod bundle;
 #[cfg(test)]
 mod oracle;
