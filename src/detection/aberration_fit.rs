@@ -332,7 +332,8 @@ mod tests {
             let truth = double_gauss(off_middle);
             let exact = found(&seen(&truth, 0.0), false).aberration;
             let part = (unknowns(&exact) - unknowns(&truth)).component_div(&unknowns(&truth));
-            assert!(part.amax() < 3e-3, "{exact:?}");
+            // The position w that E displaces is known to first order.
+            assert!(part.amax() < 0.01, "{exact:?}");
             let noisy = found(&seen(&truth, STD_DEV_PX), true);
             let distance = noisy.errors.try_inverse().unwrap()
                 * (unknowns(&noisy.aberration) - unknowns(&truth));

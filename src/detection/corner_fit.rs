@@ -40,7 +40,7 @@ pub(super) struct Sensitivities {
     /// Derivative by the slope, px.
     pub by_slope: Vector2<f64>,
     /// Derivatives by S, b and M of its micro-image, see [`Aberration`].
-    pub by_aberration: SMatrix<f64, 2, 6>,
+    pub by_aberration: SMatrix<f64, 2, 5>,
     /// Derivatives by the quantities from white images.
     pub by_taken: ByTaken,
 }
@@ -71,7 +71,7 @@ pub(super) struct FitRoom {
 /// Number of unknowns: position (u, v), level, contrast.
 const UNKNOWNS: usize = 4;
 /// Columns of held quantities.
-const OF_HELD: [Column; 12] = [
+const OF_HELD: [Column; 11] = [
     Column::BlurRadius,
     Column::EdgeVariance,
     Column::PupilBlurRadius,
@@ -83,7 +83,6 @@ const OF_HELD: [Column; 12] = [
     Column::ComaV,
     Column::AstigmatismUU,
     Column::AstigmatismUV,
-    Column::AstigmatismVV,
 ];
 const HELD: usize = OF_HELD.len();
 
@@ -202,7 +201,7 @@ impl Held<'_> {
         let Self { optics, slope, .. } = self;
         let by_radius = of(Column::BlurRadius);
         // The columns are S, b and M over A, and 1/A is γ − 1.
-        let by_bend = by.fixed_columns::<6>(HELD - 6);
+        let by_bend = by.fixed_columns::<5>(HELD - 5);
         let by_slope =
             by_radius * optics.blur_by_slope_px() + by_bend * self.aberration.at(&self.center);
         let mut by_taken = ByTaken::zeros();

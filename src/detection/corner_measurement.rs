@@ -63,7 +63,7 @@ impl CornerMeasurement {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Matrix2, Matrix2x6};
+    use nalgebra::{Matrix2, Matrix2x5};
 
     use super::super::corner_fit::ByTaken;
     use super::super::micro_images::tests::micro_images;
@@ -96,7 +96,7 @@ mod tests {
             slope_before: 0.5,
             sensitivities: Sensitivities {
                 by_slope: Vector2::new(0.3, -0.2),
-                by_aberration: Matrix2x6::zeros(),
+                by_aberration: Matrix2x5::zeros(),
                 by_taken: ByTaken::zeros(),
             },
             width,

@@ -4,11 +4,12 @@
 //! micro-lens images there. An ideal main lens sends all light from a point to one pinhole image p, and c − p = A w, with
 //! A = 1/(γ − 1) for a line of slope γ. A real lens displaces each ray by E(w) where it meets the array:
 //!
-//!   c − p = A w + E(w),  E(w) = S w (|w|² − z²) + 2 w (b·w) + b |w|² + M w,  b = C h,  M = T h hᵀ.
+//!   c − p = A w + E(w),  E(w) = S w (|w|² − z²) + 2 w (b·w) + b |w|² + M w,  b = C h,  M = T (h hᵀ − |h|²/2).
 //!
 //! The terms are spherical aberration, coma and astigmatism of the third order (Seidel), where h is the position relative to
 //! the optical axis. E does not depend on the distance of the point: a ray deflected by an angle at the pupil moves by D times
-//! this angle at the array. Field curvature and distortion change A and p of each corner, which are free anyway.
+//! this angle at the array. Field curvature and distortion change A and p of each corner, which are free anyway. M has no trace:
+//! A is in the middle between sagittal and tangential focus, so that an error of T is no field curvature.
 //!
 //! Corrected positions w + E(w)/A lie on the line of a corner: the line of rays near the middle of the pupil, which are focused
 //! like the rays through the zone z. The choice of the zone is free: an S with another z equals the same S with another A. With
@@ -17,7 +18,7 @@
 //! E displaces each ray of the blur according to its own point of the pupil. The same blur for all rays would hide three
 //! quarters of the aberration, and turn them into errors of position.
 
-use nalgebra::{SMatrix, SVector, Scalar, Vector2, Vector3, Vector6};
+use nalgebra::{SMatrix, SVector, Scalar, Vector2, Vector3, Vector5};
 
 /// Aberrations of the third order, on the scale of micro-images.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,24 +36,24 @@ pub struct Aberration {
 pub(crate) struct Bend<T: Scalar = f64> {
     /// Square z² of the zone, px².
     pub zone2: T,
-    /// S, b along u and v, and M along uu, uv and vv, over A: px⁻², px⁻¹ and without unit.
-    pub coefficients: Vector6<T>,
+    /// S, b along u and v, and M along uu (and −vv) and uv, over A: px⁻², px⁻¹ and without unit.
+    pub coefficients: Vector5<T>,
 }
 
 /// Number of unknowns of [`Aberration`]: S, C, T, and the axis along u and v.
 pub(crate) const UNKNOWNS: usize = 5;
 /// Number of coefficients of [`field_terms`].
-pub(crate) const FIELD: usize = 10;
+pub(crate) const FIELD: usize = 9;
 
 /// z² over the squared radius of the pupil.
 const ZONE: f64 = 2.0 / 3.0;
 
-/// Returns S, b and M at a position x of the image, in the order of [`Bend`], as a linear function of ten coefficients:
+/// Returns S, b and M at a position x of the image, in the order of [`Bend`], as a linear function of nine coefficients:
 ///
-///   b = C x + b₀,  M = T x xᵀ + x kᵀ + k xᵀ + M₀,
+///   b = C x + b₀,  M = T x xᵀ + x kᵀ + k xᵀ + M₀ without its trace,
 ///
 /// in the order S, C, b₀, T, k, M₀. Without h = x − axis, which is not linear, the sums of squares of all frames can be added.
-pub(crate) fn field_terms(x: &Vector2<f64>) -> SMatrix<f64, 6, FIELD> {
+pub(crate) fn field_terms(x: &Vector2<f64>) -> SMatrix<f64, 5, FIELD> {
     let (u, v) = (x.x, x.y);
     SMatrix::from_row_slice(&[
         1.0,
@@ -63,12 +64,10 @@ pub(crate) fn field_terms(x: &Vector2<f64>) -> SMatrix<f64, 6, FIELD> {
         0.0,
         0.0,
         0.0,
-        0.0,
         0.0, //
         0.0,
         u,
         1.0,
-        0.0,
         0.0,
         0.0,
         0.0,
@@ -83,17 +82,15 @@ pub(crate) fn field_terms(x: &Vector2<f64>) -> SMatrix<f64, 6, FIELD> {
         0.0,
         0.0,
         0.0,
-        0.0,
         0.0, //
         0.0,
         0.0,
         0.0,
         0.0,
-        u * u,
-        2.0 * u,
-        0.0,
+        (u * u - v * v) / 2.0,
+        u,
+        -v,
         1.0,
-        0.0,
         0.0, //
         0.0,
         0.0,
@@ -102,17 +99,6 @@ pub(crate) fn field_terms(x: &Vector2<f64>) -> SMatrix<f64, 6, FIELD> {
         u * v,
         v,
         u,
-        0.0,
-        1.0,
-        0.0, //
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        v * v,
-        0.0,
-        2.0 * v,
-        0.0,
         0.0,
         1.0,
     ])
@@ -131,7 +117,7 @@ impl Aberration {
     }
 
     /// Returns S, b and M in the micro-image about `center`.
-    pub(crate) fn at(&self, center: &Vector2<f64>) -> Vector6<f64> {
+    pub(crate) fn at(&self, center: &Vector2<f64>) -> Vector5<f64> {
         field_terms(center) * self.of_field()
     }
 
@@ -139,7 +125,7 @@ impl Aberration {
     pub(crate) fn of_field(&self) -> SVector<f64, FIELD> {
         let [s, c, t] = self.coefficients_per_px2.into();
         let (u, v) = (self.axis_px.x, self.axis_px.y);
-        [s, c, -c * u, -c * v, t, -t * u, -t * v, t * u * u, t * u * v, t * v * v].into()
+        [s, c, -c * u, -c * v, t, -t * u, -t * v, t * (u * u - v * v) / 2.0, t * u * v].into()
     }
 
     /// Returns the derivatives of [`Self::of_field`] by S, C, T and the axis.
@@ -147,11 +133,11 @@ impl Aberration {
         let [_, c, t] = self.coefficients_per_px2.into();
         let (u, v) = (self.axis_px.x, self.axis_px.y);
         SMatrix::from_columns(&[
-            SVector::from([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
-            SVector::from([0.0, 1.0, -u, -v, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
-            SVector::from([0.0, 0.0, 0.0, 0.0, 1.0, -u, -v, u * u, u * v, v * v]),
-            SVector::from([0.0, 0.0, -c, 0.0, 0.0, -t, 0.0, 2.0 * t * u, t * v, 0.0]),
-            SVector::from([0.0, 0.0, 0.0, -c, 0.0, 0.0, -t, 0.0, t * u, 2.0 * t * v]),
+            SVector::from([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+            SVector::from([0.0, 1.0, -u, -v, 0.0, 0.0, 0.0, 0.0, 0.0]),
+            SVector::from([0.0, 0.0, 0.0, 0.0, 1.0, -u, -v, (u * u - v * v) / 2.0, u * v]),
+            SVector::from([0.0, 0.0, -c, 0.0, 0.0, -t, 0.0, t * u, t * v]),
+            SVector::from([0.0, 0.0, 0.0, -c, 0.0, 0.0, -t, -t * v, t * u]),
         ])
     }
 }
@@ -159,7 +145,7 @@ impl Aberration {
 impl Bend {
     /// Creates the aberration of an ideal main lens, which is 0.
     pub fn none() -> Self {
-        Self { zone2: 0.0, coefficients: Vector6::zeros() }
+        Self { zone2: 0.0, coefficients: Vector5::zeros() }
     }
 
     /// Returns the aberration in single precision, like the light.
@@ -172,27 +158,26 @@ impl Bend {
 impl Bend<f32> {
     /// Returns an upper bound of |E(w)/A| in a pupil of this radius, px.
     pub fn largest(&self, pupil: f32) -> f32 {
-        let [spherical, coma_u, coma_v, uu, uv, vv] = self.coefficients.into();
+        let [spherical, coma_u, coma_v, uu, uv] = self.coefficients.into();
         let square = pupil * pupil;
         spherical.abs() * pupil * square.max(self.zone2)
             + coma_u.hypot(coma_v) * 3.0 * square
-            + (uu * uu + 2.0 * uv * uv + vv * vv).sqrt() * pupil
+            + uu.hypot(uv) * pupil
     }
 }
 
 #[cfg(test)]
 impl Bend {
     /// Returns the derivatives of E(w)/A by its coefficients at the point w of the pupil.
-    pub fn terms(&self, pupil: &Vector2<f64>) -> nalgebra::Matrix2x6<f64> {
+    pub fn terms(&self, pupil: &Vector2<f64>) -> nalgebra::Matrix2x5<f64> {
         let square = pupil.norm_squared();
         let (x, y) = (pupil.x, pupil.y);
-        nalgebra::Matrix2x6::from_columns(&[
+        nalgebra::Matrix2x5::from_columns(&[
             pupil * (square - self.zone2),
             pupil * (2.0 * x) + Vector2::new(square, 0.0),
             pupil * (2.0 * y) + Vector2::new(0.0, square),
-            Vector2::new(x, 0.0),
+            Vector2::new(x, -y),
             Vector2::new(y, x),
-            Vector2::new(0.0, y),
         ])
     }
 
@@ -204,8 +189,6 @@ impl Bend {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Matrix2;
-
     use super::*;
 
     /// Compares with terms calculated by hand: for h = (100, 0) and w = (3, 4), |w|² is 25 and h·w is 300. z² = 2/3 · 36 = 24.
@@ -215,7 +198,8 @@ mod tests {
         let by_hand = [
             Vector2::new(3.0, 4.0),
             Vector2::new(600.0 * 3.0 + 2500.0, 600.0 * 4.0),
-            Vector2::new(30_000.0, 0.0),
+            // h (h·w) − |h|² w/2.
+            Vector2::new(15_000.0, -20_000.0),
         ];
         for (i, expected) in by_hand.into_iter().enumerate() {
             let mut aberration = Aberration::none(axis, 6.0);
@@ -247,8 +231,5 @@ mod tests {
             let error = (found.column(i) - expected).norm();
             assert!(error < 1e-9 * expected.norm(), "{i}: {error}");
         }
-        // M is symmetric and has the rank 1 with an axis.
-        let [_, _, _, uu, uv, vv] = with(&at).at(&center).into();
-        assert!(Matrix2::new(uu, uv, uv, vv).determinant().abs() < 1e-12);
     }
 }

@@ -123,10 +123,11 @@ const OUTWARDS: f64 = 0.003;
 #[test]
 #[ignore = "slow: simulates large images; run by `make test-slow`"]
 fn every_frame_of_an_r12_is_accurate() {
-    const FRAMES: usize = 5;
+    const FRAMES: u32 = 5;
     let settings = preset("r12-a", &["seed=7705"]);
-    let score = DetectionScore::of_simulation(&settings, FRAMES, DepthEstimator::Line).unwrap();
-    for frame in 0..FRAMES as u32 {
+    let score =
+        DetectionScore::of_simulation(&settings, FRAMES as usize, DepthEstimator::Line).unwrap();
+    for frame in 0..FRAMES {
         let errors: Vec<_> = score.errors.iter().filter(|error| error.frame == frame).collect();
         let square: f64 = errors.iter().map(|error| error.error_px.norm_squared() / 2.0).sum();
         let rms_px = (square / errors.len() as f64).sqrt();
