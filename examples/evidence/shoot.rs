@@ -88,14 +88,10 @@ impl Shoot {
         self.search(Subset::Calibration, &micro_images)
     }
 
-    /// Finds other boards, with the aperture ratio of the boards of the calibration.
+    /// Finds other boards, with the aperture ratio and the aberrations that the boards of the calibration show.
     pub fn other_boards(&self, subset: Subset, found: &DetectedBoards) -> Result<Vec<BapFeature>> {
         let micro_images = MicroImages::of_precalibration(&self.measured, &self.sheet)?;
-        let settled = match &found.aperture_ratio {
-            Some(ratio) => micro_images.settled_at(ratio),
-            None => micro_images,
-        };
-        Ok(self.search(subset, &settled)?.features())
+        Ok(self.search(subset, &found.known_in(&micro_images))?.features())
     }
 
     fn poses(&self, subset: Subset) -> &[(FramePose, Shot)] {

@@ -19,7 +19,7 @@ pub enum Source {
     WhiteImages,
     /// Aperture ratio of the micro-lenses.
     ApertureRatio,
-    /// Errors of the models of corners and centroids.
+    /// Errors of the models of corners and centroids, and of the aberrations of the main lens.
     Models,
     /// Priors, without what the white images contribute to them.
     Priors,

@@ -1,8 +1,9 @@
-//! Systematic errors of observations, due to quantities that their measurement assumes known.
+//! Systematic errors of observations, due to quantities that all of them share.
 //!
 //! The position of a corner depends a little on the pupil of the main lens, on q'ᵢ, on the angular response inside a
 //! micro-image, on the aperture ratio, on the point spread, on the aberrations of the main lens, and on the tilt of the
-//! array. All features share the errors of these, and no scatter shows them. All centres share the error of the shift of centroids by the angular response.
+//! array. All features share the errors of these, and no scatter shows them. All centres share the error of the shift of
+//! centroids by the angular response.
 
 use nalgebra::Vector2;
 

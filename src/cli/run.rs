@@ -210,11 +210,8 @@ impl<'a> Run<'a> {
         let found = self.stage(boards_stage(of_calibration), boards(of_calibration, &micro_images));
         let found = found.map_err(|error| because_of_white_image(error, &self.findings))?;
         self.findings.extend(found.findings.iter().cloned());
-        // The same camera took the other boards, so that its aperture ratio applies to them.
-        let settled = match &found.aperture_ratio {
-            Some(aperture_ratio) => micro_images.settled_at(aperture_ratio),
-            None => micro_images,
-        };
+        // The same camera took the other boards, so that its aperture ratio and aberrations apply to them.
+        let settled = found.known_in(&micro_images);
         let mut others = Vec::new();
         for subset in [Subset::Evaluation, Subset::Translation] {
             // The calibration does not need these boards.

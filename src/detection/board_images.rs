@@ -3,11 +3,12 @@
 use std::borrow::Cow;
 
 use super::flat_field::Likeness;
-use super::{Detection, FrameCounts};
+use super::{Detection, FrameCounts, MicroImages};
 use crate::error::Result;
 use crate::finding::{Finding, Issue};
 use crate::image::RawImage;
 use crate::model::BapFeature;
+use crate::optics::aberration::AberrationEstimate;
 use crate::quantity::Estimate;
 
 /// Image of a board.
@@ -69,6 +70,8 @@ pub struct DetectedBoards {
     pub aperture_ratio: Option<Estimate>,
     /// Aperture ratio that the features are determined with.
     pub fitted_with: f64,
+    /// Aberrations of the main lens that the features are corrected for.
+    pub(super) aberration: AberrationEstimate,
     /// Findings for the user, such as frames left out with the reason, or a doubtful board.
     pub findings: Vec<Finding>,
 }
@@ -79,5 +82,16 @@ impl DetectedBoards {
     pub fn features(&self) -> Vec<BapFeature> {
         let found = self.frames.iter().filter_map(|frame| frame.result.as_ref().ok());
         found.flat_map(|detection| detection.features.iter().copied()).collect()
+    }
+
+    /// Returns micro-images of this camera with the aperture ratio and the aberrations of the main lens that these boards show,
+    /// for the search for other boards, which does not estimate them again.
+    #[must_use]
+    pub fn known_in(&self, micro_images: &MicroImages) -> MicroImages {
+        let settled = match &self.aperture_ratio {
+            Some(ratio) => micro_images.settled_at(ratio),
+            None => micro_images.clone(),
+        };
+        settled.with_aberration(&self.aberration)
     }
 }

@@ -21,7 +21,7 @@ use crate::model::taken::{APERTURE_RATIO, FALL_OFF, INTERCEPT, POINT_SPREAD, PUP
 use crate::numerics::simd::{dot, products};
 use crate::optics::{Bundle, Column, CornerEdges, CornerLight};
 
-/// Derivatives of a position by the quantities from white images, px: see [`crate::model::TAKEN_QUANTITIES`].
+/// Derivatives of a position by the quantities that all corners share, px; those by aberrations are 0 before the fit of lines: see [`crate::model::TAKEN_QUANTITIES`].
 pub(super) type ByTaken = SMatrix<f64, 2, TAKEN>;
 
 /// Fitted corner.
@@ -41,7 +41,7 @@ pub(super) struct Sensitivities {
     pub by_slope: Vector2<f64>,
     /// Derivatives by S, b and M of its micro-image, see [`Aberration`].
     pub by_aberration: SMatrix<f64, 2, 5>,
-    /// Derivatives by the quantities from white images.
+    /// Derivatives by the quantities that all corners share.
     pub by_taken: ByTaken,
 }
 

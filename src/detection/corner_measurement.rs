@@ -16,7 +16,7 @@ pub(super) struct CornerMeasurement {
     pub corner: Corner,
     /// Slope γ₀ that its line had before.
     pub slope_before: f64,
-    /// Sensitivities of the position to this slope, to the aberration, and to the quantities from white images.
+    /// Sensitivities of the position to this slope, to the aberration, and to the quantities that all corners share.
     pub sensitivities: Sensitivities,
     /// Information of its light about its blur radius and the variance of its edges.
     pub width: EdgeWidth,
@@ -34,7 +34,7 @@ impl CornerMeasurement {
         }
     }
 
-    /// Adds the effect of the slope of the line to the sensitivities to quantities that are taken as known.
+    /// Adds the effect of the slope of the line to the sensitivities to quantities that all corners share.
     pub fn take_slope(&mut self, slope_by_taken: &SMatrix<f64, 1, TAKEN>) {
         self.sensitivities.by_taken += self.sensitivities.by_slope * slope_by_taken;
     }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::aberration_fit::{AberrationInformation, FittedAberration};
+use super::aberration_fit::AberrationInformation;
 use super::corner_measurement::CornerMeasurement;
 use super::edge_width::{EdgeWidth, WidthChange};
 use super::frame::Frame;
@@ -10,6 +10,7 @@ use super::line::median_inverse_virtual_depth;
 use super::second_pass::{Change, SecondPassed, SettledCorner};
 use super::{Aberration, CornerLine, CornerObservation, DepthEstimator, MicroImages, MicroOptics};
 use crate::model::{BapFeature, MeasuredBlur};
+use crate::optics::aberration::AberrationEstimate;
 use crate::quantity::Estimate;
 
 /// Corner of the board, from all of its observations.
@@ -90,7 +91,7 @@ impl Detection {
     pub(super) fn settle(
         &mut self,
         micro_images: &MicroImages,
-        aberration: &FittedAberration,
+        aberration: &AberrationEstimate,
         wider_px2: Option<Estimate>,
     ) -> usize {
         let half_pitch = micro_images.grid.pitch_px / 2.0;

@@ -10,6 +10,7 @@ use crate::model::{
     growth_per_px, optics,
 };
 use crate::optics::Obliquity;
+use crate::optics::aberration::AberrationEstimate;
 use crate::precalibration::{MicroImageArray, Precalibration, check_stated_pitch, fit_grid};
 use crate::quantity::Estimate;
 
@@ -30,6 +31,8 @@ pub struct MicroImages {
     aperture_ratio: f64,
     /// Standard deviation of φ, if other boards have determined it.
     settled: Option<f64>,
+    /// Aberrations of the main lens, if other boards have determined them.
+    aberration: Option<AberrationEstimate>,
     /// Variance of the point spread along an axis, px².
     point_spread_px2: f64,
     /// Black and saturation level of the images, if they are known.
@@ -132,6 +135,7 @@ impl MicroImages {
             q_prime_px: internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect(),
             aperture_ratio,
             settled: None,
+            aberration: None,
             point_spread_px2: internal.point_spread_px2(),
             levels: internal.levels,
             middle,
@@ -213,6 +217,17 @@ impl MicroImages {
     #[must_use]
     pub fn settled_at(&self, ratio: &Estimate) -> Self {
         Self { settled: Some(ratio.std_dev), ..self.with_aperture_ratio(ratio.value) }
+    }
+
+    /// Returns the micro-images with the aberrations of the main lens that other boards of this camera have shown. They are not
+    /// estimated again from the boards in its images.
+    pub(super) fn with_aberration(self, aberration: &AberrationEstimate) -> Self {
+        Self { aberration: Some(*aberration), ..self }
+    }
+
+    /// Returns the aberrations of the main lens, if other boards have shown them.
+    pub(super) fn aberration(&self) -> Option<AberrationEstimate> {
+        self.aberration
     }
 
     /// Returns σ of the aperture ratio, if other boards have shown it.

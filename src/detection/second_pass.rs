@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 #[cfg(doc)]
 use super::Detection;
-use super::aberration_fit::{AberrationInformation, FittedAberration};
+use super::aberration_fit::{AberrationInformation, width_by_ratio};
 use super::board::LabelledBoard;
 use super::corner::Corner;
 use super::corner_fit::{FitRoom, FittedCorner, Held};
@@ -23,7 +23,7 @@ use super::slope_field::SlopeField;
 use super::{Aberration, MicroImages, MicroOptics};
 use crate::model::taken::{ABERRATIONS, APERTURE_RATIO};
 use crate::numerics::median;
-use crate::optics::aberration::{UNKNOWNS, field_terms};
+use crate::optics::aberration::{AberrationEstimate, UNKNOWNS, field_terms};
 
 /// Numbers of rounds in which every corner is searched for. A round uses the lines, the aberrations and the width of edges of
 /// the previous one. There are at least two, and more while the aperture ratio or the width of edges changes.
@@ -84,7 +84,7 @@ pub(super) struct SettledCorner {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Change<'a> {
     pub from: &'a Aberration,
-    pub to: &'a FittedAberration,
+    pub to: &'a AberrationEstimate,
     /// Change of ln φ.
     pub log_ratio: f64,
 }
@@ -99,7 +99,7 @@ pub(super) struct SecondPassed {
     /// Corners of the board.
     pub corners: Vec<MeasuredCorner>,
     /// Aberrations that the corners show, and their information about them.
-    pub aberration: FittedAberration,
+    pub aberration: AberrationEstimate,
     pub information: AberrationInformation,
     /// Remaining changes of the aperture ratio and of the excess edge variance, from the edges of all corners, if they
     /// determine them.
@@ -130,7 +130,7 @@ pub(super) fn second_pass(
         measured_with: ideal,
         wider_px2: 0.0,
         corners: Vec::new(),
-        aberration: FittedAberration::none(ideal),
+        aberration: micro_images.aberration().unwrap_or(AberrationEstimate::none(ideal)),
         information: AberrationInformation::none(),
         width: None,
     };
@@ -194,7 +194,7 @@ pub(super) fn second_pass(
 }
 
 impl SecondPassed {
-    /// Estimates aberrations and widths of edges from the corners of this frame alone. Corners without a possible line are
+    /// Estimates aberrations, unless other boards have shown them, and widths of edges from the corners of this frame alone. Corners without a possible line are
     /// given up. The others are returned with their lines.
     fn settle_alone(
         &mut self,
@@ -211,7 +211,8 @@ impl SecondPassed {
             .and_then(|width| width.log_ratio())
             .map_or(0.0, |(change, _)| change);
         let log_ratio = micro_images.aperture_ratio().ln() + log_ratio;
-        self.aberration = information.fit(log_ratio, &search.ideal(), search.sensor.mount_px());
+        let fitted = || information.fit(log_ratio, &search.ideal(), search.sensor.mount_px());
+        self.aberration = micro_images.aberration().unwrap_or_else(fitted);
         self.information = information;
         let change = Change { from: &self.measured_with, to: &self.aberration, log_ratio: 0.0 };
         let mut settled = Vec::new();
@@ -224,13 +225,11 @@ impl SecondPassed {
             settled.extend(with_line);
             is_kept
         });
-        let width = |corner: &SettledCorner, seen: &CornerMeasurement| {
-            let optics = micro_images.optics(seen.observation.k, seen.observation.l);
-            let by = optics.blur_by_ratio_px(corner.line.slope, corner.slope_by_ratio);
-            seen.width.of_log_ratio(by)
+        let of_corner = |c: &SettledCorner| {
+            let width = |seen| width_by_ratio(seen, micro_images, c.line.slope, c.slope_by_ratio);
+            c.seen.iter().map(width).collect::<Vec<EdgeWidth>>()
         };
-        let widths: Vec<EdgeWidth> =
-            settled.iter().flat_map(|c| c.seen.iter().map(|seen| width(c, seen))).collect();
+        let widths: Vec<EdgeWidth> = settled.iter().flat_map(of_corner).collect();
         self.width = WidthChange::fit(&widths, self.wider_px2);
         settled
     }

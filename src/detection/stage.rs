@@ -12,7 +12,7 @@ use super::{Detection, FrameCounts, Search};
 use crate::error::{Error, Result};
 use crate::finding::Issue;
 use crate::image::{Grey, RawImage};
-use crate::model::{SampleLevels, Sensor, Subset};
+use crate::model::{MIN_CORNERS, SampleLevels, Sensor, Subset};
 use rayon::prelude::*;
 
 /// Number of frames that [`detect`] has in memory at once.
@@ -61,17 +61,26 @@ pub fn detect<'i>(
     for detection in frames.iter().filter_map(|frame| frame.result.as_ref().ok()) {
         information.add(detection.about_aberration());
     }
-    let aberration = information.fit(fitted_with.ln(), &search.ideal(), search.sensor.mount_px());
+    let fitted = || information.fit(fitted_with.ln(), &search.ideal(), search.sensor.mount_px());
+    let aberration = micro_images.aberration().unwrap_or_else(fitted);
     let mut alike = widths.iter().flat_map(|widths| &widths.alike);
     for frame in &mut frames {
         let Ok(detection) = &mut frame.result else { continue };
         let alike = detection.edges.is_some() && alike.next().is_some_and(|alike| *alike);
         let wider_px2 = widths.as_ref().filter(|_| alike).map(|widths| widths.wider_px2);
-        frame.counts.given_up += detection.settle(&settled, &aberration, wider_px2);
+        let (before, given_up) =
+            (detection.corners.len(), detection.settle(&settled, &aberration, wider_px2));
+        let corners = detection.corners.len();
+        frame.counts.given_up += given_up;
+        frame.counts.lost += before - corners;
+        frame.counts.board_corners = corners;
+        if corners < MIN_CORNERS {
+            frame.result = Err(Issue::TooFewForPose { corners, fewest: MIN_CORNERS });
+        }
     }
     let mut findings = findings(&frames, search.board, subset);
     findings.extend(found_ratio.as_ref().and_then(|ratio| of_other_boards(ratio, micro_images)));
-    Ok(DetectedBoards { frames, aperture_ratio: found_ratio, fitted_with, findings })
+    Ok(DetectedBoards { frames, aperture_ratio: found_ratio, fitted_with, aberration, findings })
 }
 
 /// Reads an image and searches it.

@@ -269,7 +269,7 @@ impl Row<'_> {
         for (i, name) in SENSITIVITIES.as_flattened().iter().enumerate() {
             match self.measured(name)? {
                 Some(value) => sensitivities.as_flattened_mut()[i] = value,
-                None => missing[i / (2 * whites.len())] += 1,
+                None => missing[usize::from(i >= 2 * whites.len())] += 1,
             }
         }
         let all = [whites, aberrations].map(|names| 2 * names.len());

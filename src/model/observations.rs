@@ -64,7 +64,7 @@ pub struct MeasuredBlur {
     pub aperture_ratio: f64,
 }
 
-/// Number of quantities that the measurement of a position takes as known.
+/// Number of quantities, common to all corners, on which the measurement of a position depends.
 pub const TAKEN: usize = 10;
 /// Names of these quantities: radius a of the exit pupil seen through the middle of a micro-lens; q'ᵢ; angular response H
 /// inside a micro-image; aperture ratio, with the qᵢ that white images show; variance of the point spread; and five

@@ -31,6 +31,17 @@ pub struct Aberration {
     pub coefficients_per_px2: Vector3<f64>,
 }
 
+/// Aberrations with their errors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct AberrationEstimate {
+    pub aberration: Aberration,
+    /// Cholesky factor of the covariance of S, C, T and the axis for known ln φ: its columns are independent errors of one
+    /// standard deviation.
+    pub errors: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    /// Derivatives of S, C, T and the axis by ln φ.
+    pub by_log_ratio: SVector<f64, UNKNOWNS>,
+}
+
 /// Transverse aberration E(w)/A of a corner in one micro-image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Bend<T: Scalar = f64> {
@@ -139,6 +150,13 @@ impl Aberration {
             SVector::from([0.0, 0.0, -c, 0.0, 0.0, -t, 0.0, t * u, t * v]),
             SVector::from([0.0, 0.0, 0.0, -c, 0.0, 0.0, -t, -t * v, t * u]),
         ])
+    }
+}
+
+impl AberrationEstimate {
+    /// Creates a main lens without aberrations, of which nothing was estimated.
+    pub fn none(ideal: Aberration) -> Self {
+        Self { aberration: ideal, errors: SMatrix::zeros(), by_log_ratio: SVector::zeros() }
     }
 }
 

@@ -38,6 +38,7 @@ mod run;
 mod simulate;
 mod simulation;
 mod support;
+mod traced_lenses;
 mod uncertainty;
 mod use_camera;
 mod weights;

@@ -5,7 +5,7 @@ use std::fs;
 
 use plenocal::calibration::Calibration;
 use plenocal::io::{read_centers, read_features, write_centers, write_features};
-use plenocal::model::{BapFeature, Observations};
+use plenocal::model::{BapFeature, Observations, TAKEN, taken};
 use plenocal::solver::LossKind;
 use predicates::str::contains;
 use tempfile::TempDir;
@@ -64,6 +64,42 @@ fn files_keep_the_standard_deviations() {
     fs::write(&centers, &text).unwrap();
     assert_eq!(read_features(&features, true).unwrap().features, written.features);
     assert_eq!(read_centers(&centers).unwrap(), written.centers);
+}
+
+/// Files of older versions have no sensitivities to aberrations.
+#[test]
+fn files_keep_the_sensitivities() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("f.csv");
+    let mut written = shipped_observations().features;
+    written.truncate(3);
+    for (i, f) in written.iter_mut().enumerate() {
+        let of = |quantity: usize| [quantity as f64 + 0.25, -0.5 * (quantity + i) as f64];
+        f.sensitivities_px = Some(std::array::from_fn(of));
+    }
+    let mut text = Vec::new();
+    write_features(&mut text, &written).unwrap();
+    let text = String::from_utf8(text).unwrap();
+    let read_without = |columns: usize| {
+        let shorter = text.lines().map(|line| {
+            let cells: Vec<&str> = line.split(',').collect();
+            cells[..cells.len() - columns].join(",") + "\n"
+        });
+        fs::write(&path, shorter.collect::<String>()).unwrap();
+        read_features(&path, true).map(|read| read.features)
+    };
+    assert_eq!(read_without(0).unwrap(), written);
+    let older = read_without(2 * taken::ABERRATION_COUNT).unwrap();
+    for (old, new) in older.iter().zip(&written) {
+        let [old, new] = [old, new].map(|f| f.sensitivities_px.unwrap());
+        assert_eq!(old[..taken::ABERRATIONS], new[..taken::ABERRATIONS]);
+        assert_eq!(old[taken::ABERRATIONS..], [[0.0; 2]; taken::ABERRATION_COUNT]);
+    }
+    assert!(read_without(2 * TAKEN).unwrap().iter().all(|f| f.sensitivities_px.is_none()));
+    for some in [1, 2 * taken::ABERRATION_COUNT + 1] {
+        let message = read_without(some).unwrap_err().to_string();
+        assert!(message.contains("needed together"), "{message}");
+    }
 }
 
 #[test]
