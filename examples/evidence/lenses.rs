@@ -42,18 +42,23 @@ pub fn errors(extent: &Extent) -> Result<Vec<String>> {
         let replaced =
             [format!("axis_px=[{u}, {v}]"), format!("seed={seed}"), "rays=16".to_owned()];
         let settings = Settings::preset(&format!("mini-{lens}"), &replaced)?;
-        let camera = Calibrated::of(settings, &CalibrationOptions::default())?;
+        let place = format!("{u}, {v}");
+        let first = [lens.replace('-', " "), place].into_iter();
+        count += 1;
+        let camera = Calibrated::if_converged(settings, &CalibrationOptions::default())?;
+        let Some(camera) = camera else {
+            let others = std::iter::repeat_n("-".to_owned(), 6);
+            table.row(first.chain(["not converged".to_owned()]).chain(others));
+            continue;
+        };
         let errors = camera.errors(&camera.calibration)?;
         let evaluation = camera.evaluation(&[&camera.calibration], 0)?;
         let reconstruction = evaluation.candidates[0].reconstruction.as_ref();
         let distances = reconstruction.map(|found| percent(found.too_long.value, 2));
-        let place = format!("{u}, {v}");
-        let first = [lens.replace('-', " "), place].into_iter();
         let last_cell = distances.unwrap_or("-".to_owned());
         table.row(first.chain(cells(&errors)).chain([last_cell]));
         let of = |name: &&str| error_of(&errors, name).standardised().map(f64::abs);
         over_sigmas.extend(SHOWN.iter().chain(&OTHERS).filter_map(of));
-        count += 1;
     }
     let within = |limit: f64| over_sigmas.iter().filter(|x| **x <= limit).count();
     let coverage = format!(

@@ -116,6 +116,12 @@ pub struct Calibrated {
 impl Calibrated {
     /// Takes the images of a camera, and calibrates it.
     pub fn of(settings: Settings, options: &CalibrationOptions) -> Result<Self> {
+        let not_converged = || Error::invalid("the calibration has not converged");
+        Self::if_converged(settings, options)?.ok_or_else(not_converged)
+    }
+
+    /// Takes the images of a camera, and calibrates it; `None` if the calibration does not converge.
+    pub fn if_converged(settings: Settings, options: &CalibrationOptions) -> Result<Option<Self>> {
         let shoot = Shoot::of(settings)?;
         let boards = shoot.boards()?;
         let lattice = &shoot.measured.array.grid.lattice;
@@ -124,10 +130,8 @@ impl Calibrated {
         let centers = shoot.measured.array.centers.clone();
         let observations = Observations { centers, features: boards.features() };
         let calibration = calibrate(&start, &shoot.board, &observations, options, &mut |_| true)?;
-        if !calibration.converged {
-            return Err(Error::invalid("the calibration has not converged"));
-        }
-        Ok(Self { shoot, boards, start, observations, calibration })
+        let converged = calibration.converged;
+        Ok(converged.then_some(Self { shoot, boards, start, observations, calibration }))
     }
 
     /// Calibrates from the same observations with other options.
