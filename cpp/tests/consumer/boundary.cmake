@@ -3,10 +3,13 @@
 # cmake -D library_build=… -D source=… -D scratch=… -D generator=… -D compiler=…
 # -D other_libraries=… -D flags=… -D config=… -P …
 
+# Output is printed only where a command fails, and its end last: the cause is not to drown in it.
 function(run)
-  execute_process(COMMAND ${ARGN} RESULT_VARIABLE result)
+  execute_process(COMMAND ${ARGN} RESULT_VARIABLE result OUTPUT_VARIABLE output
+    ERROR_VARIABLE output)
   if(NOT result EQUAL 0)
     list(JOIN ARGN " " command)
+    execute_process(COMMAND ${CMAKE_COMMAND} -E echo "${output}")
     message(FATAL_ERROR "failed (${result}): ${command}")
   endif()
 endfunction()
@@ -27,7 +30,7 @@ run(${CMAKE_COMMAND} -S ${source} -B ${scratch}/build -G ${generator} -DBOUNDARY
   -DCMAKE_CXX_COMPILER=${path_of_compiler} -DCMAKE_CXX_FLAGS=${flags} -DCMAKE_BUILD_TYPE=None
   -DCMAKE_RUNTIME_OUTPUT_DIRECTORY=${scratch}/bin
   -DCMAKE_RUNTIME_OUTPUT_DIRECTORY_${config}=${scratch}/bin)
-run(${CMAKE_COMMAND} --build ${scratch}/build --config ${config} --parallel 2)
+run(${CMAKE_COMMAND} --build ${scratch}/build --config ${config})
 
 file(READ ${scratch}/build/runnable.txt programs)
 set(expected "")
