@@ -6,8 +6,6 @@
 
 use nalgebra::{Matrix2x3, SMatrix, SVector, Vector2, Vector3};
 
-use tracing::debug;
-
 use super::corner_measurement::CornerMeasurement;
 use super::edge_width::EdgeWidth;
 use super::{Aberration, CornerLine, MicroImages};
@@ -17,8 +15,8 @@ use crate::optics::aberration::{AberrationEstimate, FIELD, UNKNOWNS, field_terms
 
 /// Prior standard deviation of the displacement by aberrations, px. It limits them if a few corners hardly determine them.
 const MOST_PX: f64 = 1.0;
-/// Decrease of the sum of squares by aberrations, in variances, up to which they are set to 0. By chance it is larger in 0.7 %
-/// of the cases, with five unknowns.
+/// Decrease of the sum of squares by aberrations, in variances, up to which they are set to 0. With five
+/// unknowns, chance exceeds it in 0.7 % of the cases.
 const SHOWS: f64 = 16.0;
 /// Largest number of Gauss-Newton steps, and change of the cost, over the variance, at which they end.
 const STEPS: usize = 30;
@@ -40,14 +38,12 @@ pub(super) struct AberrationInformation {
     largest: Vector3<f64>,
     /// Number of equations that are left.
     freedom: f64,
-    /// Sum of the inverse variances of all positions, px⁻².
-    weight: f64,
 }
 
 impl AberrationInformation {
     /// Creates information about nothing.
     pub fn none() -> Self {
-        Self { products: SMatrix::zeros(), largest: Vector3::zeros(), freedom: 0.0, weight: 0.0 }
+        Self { products: SMatrix::zeros(), largest: Vector3::zeros(), freedom: 0.0 }
     }
 
     /// Returns the information of corners that were measured with an aberration, and the information of their edges about the
@@ -83,8 +79,6 @@ impl AberrationInformation {
                 let by = by_field(seen, &aberration.axis_px);
                 let by = Matrix2x3::from_columns(&[by.column(0), by.column(1), by.column(4)]).abs();
                 found.largest = found.largest.sup(&by.row(0).sup(&by.row(1)).transpose());
-                let covariance = seen.observation.covariance;
-                found.weight += covariance.m11.recip() + covariance.m22.recip();
             }
             found.freedom += rows.len() as f64 - 3.0;
         }
@@ -96,7 +90,6 @@ impl AberrationInformation {
         self.products += other.products;
         self.largest = self.largest.sup(&other.largest);
         self.freedom += other.freedom;
-        self.weight += other.weight;
     }
 
     /// Returns the sum of squares that is left, over the variance of an observation.
@@ -114,7 +107,7 @@ impl AberrationInformation {
 
     /// Fits S, C, T and the optical axis so that the observations of every corner lie on a line. `ideal` is the main lens
     /// without aberrations, with its axis where it is expected; `mount_px` is the standard deviation of this place. Aberrations
-    /// that are not significant are set to 0, since they would only add noise.
+    /// that are not significant are set to 0: they would only add noise.
     pub fn fit(&self, log_ratio: f64, ideal: &Aberration, mount_px: f64) -> AberrationEstimate {
         let none = AberrationEstimate::none(*ideal);
         let off_middle = mount_px.powi(-2);
@@ -156,10 +149,6 @@ impl AberrationInformation {
         let left = self.cost(log_ratio, &found.of_field());
         let variance = (left / (self.freedom - UNKNOWNS as f64)).max(1.0);
         let explained = self.cost(log_ratio, &ideal.of_field()) - left;
-        let bend_px = (explained.max(0.0) / self.weight).sqrt();
-        debug!(
-            "aberrations bend lines by {bend_px:.4} px RMS; {explained:.0} of {left:.0} squares explained"
-        );
         let errors = (covariance * variance).cholesky().map(|factor| factor.l());
         match errors.filter(|_| explained > SHOWS * variance) {
             Some(errors) => AberrationEstimate { aberration: found, errors, by_log_ratio },
@@ -175,7 +164,8 @@ fn unknowns(a: &Aberration) -> SVector<f64, UNKNOWNS> {
     SVector::from([s, c, t, u, v])
 }
 
-fn moved(a: &Aberration, by: &SVector<f64, UNKNOWNS>) -> Aberration {
+/// Returns an aberration with S, C, T and the axis changed.
+pub(super) fn moved(a: &Aberration, by: &SVector<f64, UNKNOWNS>) -> Aberration {
     Aberration {
         axis_px: a.axis_px + by.fixed_rows::<2>(3),
         coefficients_per_px2: a.coefficients_per_px2 + by.fixed_rows::<3>(0),
@@ -214,7 +204,7 @@ fn rows(seen: &CornerMeasurement) -> [(Vector3<f64>, SMatrix<f64, 1, COLUMNS>); 
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use nalgebra::Matrix2;
 
     use super::super::CornerObservation;
@@ -233,7 +223,7 @@ mod tests {
 
     /// Returns corners all over an image of 1000 x 800 px, each in 25 micro-images. Images are sharp: every observation has one
     /// ray. Errors of the given size follow no pattern. ln φ differs from its assumed value by `log_ratio`.
-    fn seen_with(
+    pub fn seen_with(
         aberration: &Aberration,
         error_px: f64,
         log_ratio: f64,

@@ -194,8 +194,8 @@ pub(super) fn second_pass(
 }
 
 impl SecondPassed {
-    /// Estimates aberrations, unless other boards have shown them, and widths of edges from the corners of this frame alone. Corners without a possible line are
-    /// given up. The others are returned with their lines.
+    /// Estimates aberrations, unless other boards have shown them, and widths of edges from the corners of this frame alone.
+    /// Corners without a possible line are given up. The others are returned with their lines.
     fn settle_alone(
         &mut self,
         search: &Search,
@@ -451,5 +451,63 @@ impl CornerSearch<'_> {
     fn is_even(&self, corner: i32) -> bool {
         let columns = self.frame.search.board.columns;
         (corner / columns + corner % columns) % 2 == 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+
+    use super::super::aberration_fit::moved;
+    use super::super::aberration_fit::tests::seen_with;
+    use super::super::micro_images::tests::micro_images;
+    use super::*;
+
+    const STEP: f64 = 1e-3;
+
+    /// Checks the sensitivities of features against settling again with each quantity changed, the slopes of lines included. Noise
+    /// is small, since the derivatives leave the robust weights as they are.
+    #[test]
+    fn sensitivities_to_aberrations_are_those_of_the_settled_features() {
+        let micro_images = micro_images(23.0);
+        let axis_px = Vector2::new(480.0, 420.0);
+        let from = Aberration::none(axis_px, 6.0);
+        let coefficients_per_px2 = Vector3::new(2e-3, -8e-6, 3e-8);
+        let to = Aberration { coefficients_per_px2, ..from };
+        let mut errors = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::zeros();
+        let scale = Vector3::new(2e-4, 1e-6, 1e-8);
+        let mix = Matrix3::new(1.0, 0.0, 0.0, 0.5, 1.0, 0.0, -0.3, 0.2, 1.0);
+        errors.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::from_diagonal(&scale) * mix));
+        (errors[(3, 1)], errors[(3, 3)], errors[(4, 4)]) = (4.0, 20.0, 30.0);
+        let by_log_ratio = SVector::from([-3e-3, 2e-5, 1e-7, 50.0, -40.0]);
+        let mut seen = seen_with(&to, 0.002, 0.0).swap_remove(12);
+        for (i, seen) in seen.iter_mut().enumerate() {
+            seen.sensitivities.by_slope = Vector2::new(0.3, -0.2) * i as f64;
+        }
+        let corner = MeasuredCorner { corner: 3, seen };
+        let settled = |by: SVector<f64, UNKNOWNS>, log_ratio: f64| {
+            let to = AberrationEstimate { aberration: moved(&to, &by), errors, by_log_ratio };
+            let change = Change { from: &from, to: &to, log_ratio };
+            corner.settled(&micro_images, &change).unwrap().seen
+        };
+        let check = |column: usize, by: SVector<f64, UNKNOWNS>, log_ratio: f64| {
+            let more = settled(by * STEP, log_ratio * STEP);
+            let less = settled(-by * STEP, -log_ratio * STEP);
+            let at = settled(SVector::zeros(), 0.0);
+            let (mut error, mut largest) = (0.0_f64, 0.0_f64);
+            for ((more, less), at) in more.iter().zip(&less).zip(&at) {
+                let expected =
+                    (more.observation.position - less.observation.position) / (2.0 * STEP);
+                let found = at.sensitivities.by_taken.column(column);
+                error = error.max((found - expected).norm());
+                largest = largest.max(expected.norm());
+            }
+            println!("column {column}: {error:.1e} of {largest:.1e} px");
+            assert!(largest > 1e-4 && error < 1e-3 * largest, "{column}: {error} of {largest}");
+        };
+        for i in 0..UNKNOWNS {
+            check(ABERRATIONS + i, errors.column(i).into_owned(), 0.0);
+        }
+        check(APERTURE_RATIO, by_log_ratio, 1.0);
     }
 }

@@ -66,52 +66,16 @@ const ZONE: f64 = 2.0 / 3.0;
 /// in the order S, C, b₀, T, k, M₀. Without h = x − axis, which is not linear, the sums of squares of all frames can be added.
 pub(crate) fn field_terms(x: &Vector2<f64>) -> SMatrix<f64, 5, FIELD> {
     let (u, v) = (x.x, x.y);
-    SMatrix::from_row_slice(&[
-        1.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0, //
-        0.0,
-        u,
-        1.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0, //
-        0.0,
-        v,
-        0.0,
-        1.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0, //
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        (u * u - v * v) / 2.0,
-        u,
-        -v,
-        1.0,
-        0.0, //
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        u * v,
-        v,
-        u,
-        0.0,
-        1.0,
+    SMatrix::from_columns(&[
+        [1.0, 0.0, 0.0, 0.0, 0.0].into(),
+        [0.0, u, v, 0.0, 0.0].into(),
+        [0.0, 1.0, 0.0, 0.0, 0.0].into(),
+        [0.0, 0.0, 1.0, 0.0, 0.0].into(),
+        [0.0, 0.0, 0.0, (u * u - v * v) / 2.0, u * v].into(),
+        [0.0, 0.0, 0.0, u, v].into(),
+        [0.0, 0.0, 0.0, -v, u].into(),
+        [0.0, 0.0, 0.0, 1.0, 0.0].into(),
+        [0.0, 0.0, 0.0, 0.0, 1.0].into(),
     ])
 }
 
