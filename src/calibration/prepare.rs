@@ -175,9 +175,7 @@ fn start_camera(
         (Start::Camera(camera), _) => camera.clone(),
     };
     let lens = &mut camera.main_lens;
-    if let Some(place) = options.exit_pupil_mm() {
-        (lens.exit_pupil_mm.z, lens.pupil_aberration_per_mm) = (place, 0.0);
-    }
+    lens.exit_pupil_mm.z = options.exit_pupil_mm().unwrap_or(lens.exit_pupil_mm.z);
     if options.field_curvature == FieldCurvature::Flat {
         lens.field_curvature_per_mm = 0.0;
     }
