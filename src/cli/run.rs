@@ -210,7 +210,7 @@ impl<'a> Run<'a> {
         let found = self.stage(boards_stage(of_calibration), boards(of_calibration, &micro_images));
         let found = found.map_err(|error| because_of_white_image(error, &self.findings))?;
         self.findings.extend(found.findings.iter().cloned());
-        // The same camera took the other boards: its aperture ratio and aberrations apply to them too.
+        // The other boards were taken by the same camera, so its aperture ratio and aberrations apply to them too.
         let settled = found.known_in(&micro_images);
         let mut others = Vec::new();
         for subset in [Subset::Evaluation, Subset::Translation] {

@@ -15,8 +15,8 @@ use crate::optics::aberration::{AberrationEstimate, FIELD, UNKNOWNS, field_terms
 
 /// Prior standard deviation of the displacement by aberrations, px. It limits them if a few corners hardly determine them.
 const MOST_PX: f64 = 1.0;
-/// Decrease of the sum of squares by aberrations, in variances, up to which they are set to 0. With five
-/// unknowns, chance exceeds it in 0.7 % of the cases.
+/// Decrease of the sum of squares, in variances, that significant aberrations exceed: the 99.3 % quantile of χ² with five
+/// degrees of freedom.
 const SHOWS: f64 = 16.0;
 /// Largest number of Gauss-Newton steps, and change of the cost, over the variance, at which they end.
 const STEPS: usize = 30;
@@ -106,8 +106,8 @@ impl AberrationInformation {
     }
 
     /// Fits S, C, T and the optical axis so that the observations of every corner lie on a line. `ideal` is the main lens
-    /// without aberrations, with its axis where it is expected; `mount_px` is the standard deviation of this place. Aberrations
-    /// that are not significant are set to 0: they would only add noise.
+    /// without aberrations, with its axis where it is expected; `mount_px` is the standard deviation of this place.
+    /// Insignificant aberrations are set to 0 to keep their noise out of the features.
     pub fn fit(&self, log_ratio: f64, ideal: &Aberration, mount_px: f64) -> AberrationEstimate {
         let none = AberrationEstimate::none(*ideal);
         let off_middle = mount_px.powi(-2);

@@ -3,7 +3,7 @@
 # cmake -D library_build=… -D source=… -D scratch=… -D generator=… -D compiler=…
 # -D other_libraries=… -D flags=… -D config=… -P …
 
-# Output is printed only where a command fails, and its end last: the cause is not to drown in it.
+# Runs a command. Its output is printed only if it fails: that of all builds would hide the cause.
 function(run)
   execute_process(COMMAND ${ARGN} RESULT_VARIABLE result OUTPUT_VARIABLE output
     ERROR_VARIABLE output)
@@ -30,7 +30,7 @@ run(${CMAKE_COMMAND} -S ${source} -B ${scratch}/build -G ${generator} -DBOUNDARY
   -DCMAKE_CXX_COMPILER=${path_of_compiler} -DCMAKE_CXX_FLAGS=${flags} -DCMAKE_BUILD_TYPE=None
   -DCMAKE_RUNTIME_OUTPUT_DIRECTORY=${scratch}/bin
   -DCMAKE_RUNTIME_OUTPUT_DIRECTORY_${config}=${scratch}/bin)
-run(${CMAKE_COMMAND} --build ${scratch}/build --config ${config})
+run(${CMAKE_COMMAND} --build ${scratch}/build --config ${config} --parallel 2)
 
 file(READ ${scratch}/build/runnable.txt programs)
 set(expected "")
