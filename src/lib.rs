@@ -103,6 +103,7 @@
 //! | κ | `field_curvature_per_mm` | mm⁻¹ | curvature of the field (not in the paper) |
 //! | κ_m | `field_curvature_growth_per_mm` | mm⁻¹ | derivative of the curvature by the magnification (not in the paper) |
 //! | P = (e_x, e_y, e_z) | `exit_pupil_mm` | mm | centre of the exit pupil (at 0 in the paper) |
+//! | e_r | `pupil_aberration_per_mm` | mm⁻¹ | spherical aberration of the exit pupil (not in the paper) |
 //! | (u₀, v₀) | `principal_point_px` | px | where the optical axis meets the sensor |
 //! | d | `mla_to_sensor_mm` | mm | array to sensor, at the middle of the array |
 //! | D | `lens_to_mla_mm` | mm | main lens to array, at the middle of the array |

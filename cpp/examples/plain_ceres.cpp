@@ -60,7 +60,7 @@ The array has to be hexagonal with straight rows, and the board known (--board f
 
 // Parameter blocks. A pose is the angle-axis rotation and the translation of camera from board.
 enum MainLens { kF, kQ1, kQ2, kQ3, kP1, kP2, kKappa, kKappaM, kMainLensSize };
-enum ExitPupil { kEx, kEy, kEz, kPupilSize };
+enum ExitPupil { kEx, kEy, kEz, kEr, kPupilSize };
 enum Sensor { kU0, kV0, kLittleD, kSensorSize };
 enum Mla { kThetaX, kThetaY, kThetaZ, kTx, kTy, kBigD, kMlaSize };
 enum Pitch { kPitch, kRatio, kPitchSize };
@@ -88,7 +88,7 @@ struct Parameters {
         names[name] = {block.data(), static_cast<int>(block.size()), index++};
     };
     add(lens, {"F", "Q1", "Q2", "Q3", "P1", "P2", "kappa", "kappa_m"});
-    add(pupil, {"e_x", "e_y", "e_z"});
+    add(pupil, {"e_x", "e_y", "e_z", "e_r"});
     add(sensor, {"u0", "v0", "d"});
     add(mla, {"theta_x", "theta_y", "theta_z", "t_x", "t_y", "D"});
     add(pitch, {"dC", "dC_ratio"});
@@ -139,9 +139,10 @@ struct CenterResidual {
                   T* residual) const {
     T C[3];
     MicroLensCenter(g, mla, pitch, C);
-    const T scale = (mla[kBigD] + sensor[kLittleD] + pupil[kEz]) / (pupil[kEz] - C[2]);
-    const T x = pupil[kEx] + scale * (C[0] - pupil[kEx]);
-    const T y = pupil[kEy] + scale * (C[1] - pupil[kEy]);
+    const T cx = C[0] - pupil[kEx], cy = C[1] - pupil[kEy];
+    const T ez = pupil[kEz] + pupil[kEr] * (cx * cx + cy * cy);  // the pupil is aberrated
+    const T scale = (mla[kBigD] + sensor[kLittleD] + ez) / (ez - C[2]);
+    const T x = pupil[kEx] + scale * cx, y = pupil[kEy] + scale * cy;
     residual[0] = (sensor[kU0] - x / pixel_size - u) / std_dev;
     residual[1] = (sensor[kV0] - y / pixel_size - v) / std_dev;
     return true;
@@ -294,7 +295,8 @@ void ReadStart(const Json& camera, const Json& poses, Lattice* lattice, Paramete
              lens.at("p2_per_mm"),
              lens.at("field_curvature_per_mm"),
              lens.at("field_curvature_growth_per_mm")};
-  p->pupil = lens.at("exit_pupil_mm").get<std::array<double, 3>>();
+  const auto pupil = lens.at("exit_pupil_mm").get<std::array<double, 3>>();
+  p->pupil = {pupil[0], pupil[1], pupil[2], lens.value("pupil_aberration_per_mm", 0.0)};
   const Json &c = camera.at("principal_point_px"), &t = array.at("offset_mm");
   const Json& angles = array.at("rotation_rad");
   p->sensor = {c.at(0), c.at(1), array.at("mla_to_sensor_mm")};
@@ -436,7 +438,8 @@ Json CameraJson(Json camera, bool converged, const Parameters& p) {
                          "field_curvature_per_mm",
                          "field_curvature_growth_per_mm"};
   for (int i = 0; i < kMainLensSize; ++i) lens[names[i]] = p.lens[i];
-  lens["exit_pupil_mm"] = p.pupil;
+  lens["exit_pupil_mm"] = {p.pupil[kEx], p.pupil[kEy], p.pupil[kEz]};
+  lens["pupil_aberration_per_mm"] = p.pupil[kEr];
   camera["principal_point_px"] = {p.sensor[kU0], p.sensor[kV0]};
   array["mla_to_sensor_mm"] = p.sensor[kLittleD];
   array["rotation_rad"] = {p.mla[kThetaX], p.mla[kThetaY], p.mla[kThetaZ]};

@@ -220,17 +220,21 @@ std::optional<MicroLens> BackProjection::micro_lens(int k, int l) const {
 
 std::optional<MicroImage> BackProjection::micro_image_at(const Pixel<double>& pixel) const {
   if (camera_.width > 0 && camera_.height > 0) {
-    const bool on_sensor = pixel.u >= -0.5 && pixel.u <= camera_.width - 0.5 && pixel.v >= -0.5 &&
+    const bool is_inside = pixel.u >= -0.5 && pixel.u <= camera_.width - 0.5 && pixel.v >= -0.5 &&
                            pixel.v <= camera_.height - 0.5;
-    if (!on_sensor) return std::nullopt;
+    if (!is_inside) return std::nullopt;
   }
-  const auto& [x, y, z] = camera_.exit_pupil;
-  const Vector3<double> pupil{x, y, z};
-  const Vector3<double> ray = difference(optics_.array.on_sensor(pixel), pupil);
-  const double along = dot(normal_, difference(origin_, pupil)) / dot(normal_, ray);
-  const Vector3<double> there{pupil.x + along * ray.x - origin_.x,
-                              pupil.y + along * ray.y - origin_.y,
-                              pupil.z + along * ray.z - origin_.z};
+  const Vector3<double> on_sensor = optics_.array.on_sensor(pixel);
+  // The place of the pupil depends on where its ray meets the array, which is near the pixel.
+  Vector3<double> on_array = on_sensor;
+  double along = 0.0;
+  for (int i = 0; i < 2; ++i) {
+    const Vector3<double> pupil = camera_.exit_pupil.seen_from(on_array);
+    const Vector3<double> ray = difference(on_sensor, pupil);
+    along = dot(normal_, difference(origin_, pupil)) / dot(normal_, ray);
+    on_array = {pupil.x + along * ray.x, pupil.y + along * ray.y, pupil.z + along * ray.z};
+  }
+  const Vector3<double> there = difference(on_array, origin_);
   const Node node{dot(there, step_x_) / dot(step_x_, step_x_),
                   dot(there, step_y_) / dot(step_y_, step_y_)};
   if (!(along > 0.0 && std::isfinite(node.x) && std::isfinite(node.y))) return std::nullopt;

@@ -75,8 +75,8 @@ class Sight {
   }
 
   static Vector3<double> pupil(const Camera& camera) {
-    const auto& [x, y, z] = camera.exit_pupil;
-    return {x, y, z};
+    const ExitPupil<double>& pupil = camera.exit_pupil;
+    return {pupil.x, pupil.y, pupil.z};
   }
 
   static double farthest(const Interval& z, double from) {
@@ -106,6 +106,23 @@ class Sight {
 // Largest distance of nodes from a regular grid through node (0, 0) with the steps between every
 // other row and column, in pitches: the shift of hexagonal rows, and rounding.
 constexpr double kShift = 0.51;
+
+// Returns the largest shift of micro-image centres by the aberration of the pupil, px: at a corner
+// of the array, since it grows with the distance from the axis.
+double largest_center_shift(const Camera& camera, const ArrayOptics<double>& array) {
+  ExitPupil<double> paraxial = camera.exit_pupil;
+  paraxial.aberration = 0.0;
+  double largest = 0.0;
+  for (int k : {0, camera.lattice.columns - 1}) {
+    for (int l : {0, camera.lattice.rows - 1}) {
+      const Node node = camera.lattice.node(k, l);
+      const Pixel<double> center = array.micro_image_center(camera.exit_pupil, node);
+      const Pixel<double> without = array.micro_image_center(paraxial, node);
+      largest = std::max(largest, std::hypot(center.u - without.u, center.v - without.v));
+    }
+  }
+  return largest;
+}
 
 Box whole_array(const Lattice& lattice) {
   const Node corner = lattice.node(0, 0);
@@ -219,7 +236,8 @@ std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camera, const Vect
   if (radius < 0.0 || !image || !is_finite(*image)) return {};
 
   const Lattice& lattice = camera.lattice;
-  const Sight sight(camera, optics.array, *image, radius);
+  const Sight sight(camera, optics.array, *image,
+                    radius + largest_center_shift(camera, optics.array));
   const Box box = sight.within(sight.within(whole_array(lattice)));
   const Node first = lattice.node(0, 0);
   const Node third = lattice.node(2, 2);

@@ -215,13 +215,17 @@ TEST(Projection, MicroImageCentreLiesOnTheRayFromTheExitPupil) {
   // P = (1, -2, -9): (3, 2) at C = (-0.2, 0, -59), the sensor at z = -59.5. From P to C and on:
   // x = 1 - 1.2 * 50.5/50 = -0.212, y = -2 + 2 * 50.5/50 = 0.02.
   Camera camera = simple_camera();
-  camera.exit_pupil = {1.0, -2.0, -9.0};
+  camera.exit_pupil = {1.0, -2.0, -9.0, 0.0};
   expect_pixel(project_center(camera, 3, 2), 121.2, 78.0);
   // Neighbours are 0.2 * 50.5/50 mm apart; p = 1 - 9/50 and m = 0.5 * 0.82 * 50/(2 * 50).
   const ArrayOptics<double> optics(camera.mla, camera.pixel_size);
   EXPECT_NEAR(optics.micro_image_pitch(camera.exit_pupil), 20.2, kRounding);
   EXPECT_NEAR(pupil_magnification(camera.main_lens, camera.exit_pupil), 0.82, kRounding);
   EXPECT_NEAR(micro_image_slope(camera.main_lens, camera.exit_pupil, camera.mla), 0.205, kRounding);
+  // Seen from this micro-lens, at r^2 = 1.2^2 + 2^2, an aberrated pupil is at z = -34: x = 1 - 1.2
+  // * 25.5/25 = -0.224, y = -2 + 2 * 25.5/25 = 0.04.
+  camera.exit_pupil.aberration = -25.0 / 5.44;
+  expect_pixel(project_center(camera, 3, 2), 122.4, 76.0);
   // Features do not depend on it.
   const auto at_lens = seen(simple_camera(), at_distance(300), {3, 1.5, 0}, 2, 2);
   expect_feature(seen(camera, at_distance(300), {3, 1.5, 0}, 2, 2), at_lens.u, at_lens.v,

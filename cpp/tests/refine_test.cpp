@@ -26,9 +26,9 @@ constexpr double kRecovery = 1e-8;
 // A start some per cent from the truth, with residuals of several px; parameters in `fixed`
 // start at the truth.
 Scene disturbed(const Scene& truth, const std::set<std::string>& fixed) {
-  const std::vector<double> factors = {1.01, 0.9,   0.9,    0.9,   0.9,  0.9,  0.9, 0.8, 0.8,
-                                       1.2,  0.95,  1.005,  0.995, 1.03, 1.3,  0.7, 0.7, 1.5,
-                                       0.6,  1.002, 1.0005, 0.999, 0.98, 1.02, 0.99};
+  const std::vector<double> factors = {1.01, 0.9,  0.9,   0.9,    0.9,   0.9,  0.9,  0.8, 0.8,
+                                       1.2,  0.95, 0.8,   1.005,  0.995, 1.03, 1.3,  0.7, 0.7,
+                                       1.5,  0.6,  1.002, 1.0005, 0.999, 0.98, 1.02, 0.99};
   Scene start = truth;
   auto values = test::intrinsics(truth.camera);
   const auto names = intrinsic_names(truth.camera.lens_types());
@@ -185,14 +185,14 @@ TEST(Refine, ExitPupilAndFieldCurvatureAreRecovered) {
   EXPECT_EQ(free.termination, Termination::kConverged) << free.message;
   expect_recovered(free, truth);
   // A pupil in the lens cannot fit this, nor can a flat field.
-  for (const std::string at_zero : {"e_z", "kappa", "kappa_m"}) {
+  for (const std::string at_zero : {"e_z", "e_r", "kappa", "kappa_m"}) {
     Scene other = truth;
     for_each_parameter(other.camera, [&](const std::string& name, double& parameter) {
       if (name == at_zero) parameter = 0.0;
     });
     const Refinement paper =
         refine(other.camera, other.poses, other.observations, test::paper(), {});
-    EXPECT_GT(paper.cost, 1e-3) << at_zero;
+    EXPECT_GT(paper.cost, 1e-4) << at_zero;
   }
 }
 
@@ -227,8 +227,8 @@ TEST(Refine, FixedParametersKeepTheirValue) {
   }
   const Uncertainty u = uncertainty(start.camera, start.poses, start.observations, options);
   EXPECT_EQ(u.free_intrinsics,
-            (std::vector<int>{1, 3, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15, 17, 18, 19, 22, 24}));
-  EXPECT_EQ(u.size, 17 + 6 * 7);
+            (std::vector<int>{1, 3, 5, 6, 7, 8, 9, 10, 11, 12, 14, 15, 16, 18, 19, 20, 23, 25}));
+  EXPECT_EQ(u.size, 18 + 6 * 7);
 }
 
 TEST(Refine, EverythingFixedLeavesThePoses) {

@@ -105,7 +105,7 @@ int row_of(const std::string& name, const Uncertainty& u) {
 TEST(TiltGradient, IsHowTheDistanceGrowsOverTheImage) {
   // Lenses about the middle, by their centres and where their micro-images are.
   Camera camera = test::simple_camera();
-  camera.exit_pupil = {0.0, 0.0, -9.0};
+  camera.exit_pupil = {0.0, 0.0, -9.0, 0.0};
   camera.mla.rotation = {2e-3, -1e-3, 0.3};
   const ArrayOptics<double> optics(camera.mla, camera.pixel_size);
   const double sensor_z = -(camera.mla.lens_to_mla + camera.mla.mla_to_sensor);

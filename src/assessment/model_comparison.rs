@@ -27,7 +27,7 @@ const MOVED: f64 = 3.0;
 /// A group of parameters that a plain camera does not have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Group {
-    /// Distance e_z of the exit pupil from the lens.
+    /// Distance e_z of the exit pupil from the lens, and its aberration e_r.
     ExitPupil,
     /// Field curvature κ and its growth κ_m.
     FieldCurvature,
@@ -57,7 +57,7 @@ impl Group {
     pub fn parameters(self) -> &'static [Parameter] {
         use Parameter as P;
         match self {
-            Self::ExitPupil => &[P::PupilZ],
+            Self::ExitPupil => &[P::PupilZ, P::PupilAberration],
             Self::FieldCurvature => &[P::FieldCurvature, P::FieldCurvatureGrowth],
             Self::CurvatureGrowth => &[P::FieldCurvatureGrowth],
             Self::RadialDistortion => &[P::Radial1, P::Radial2, P::Radial3],

@@ -292,7 +292,7 @@ pub struct CalibrationOptions {
     #[arg(long)]
     pub board: BoardModel,
     /// Parameters that keep their initial value, e.g. F,Q3. The parameters are F, Q1 to Q3, P1, P2, kappa, kappa_m,
-    /// e_z, u0, v0, d, theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect.
+    /// e_z, e_r, u0, v0, d, theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect.
     /// (e_x and e_y are 0 unless they have a prior, and dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub fix: Vec<Parameter>,
@@ -474,6 +474,7 @@ impl CalibrationOptions {
         let implied = [
             (Parameter::PitchRatio, self.pitches == Pitches::One),
             (Parameter::PupilZ, matches!(self.exit_pupil, ExitPupil::At(_))),
+            (Parameter::PupilAberration, matches!(self.exit_pupil, ExitPupil::At(_))),
             (Parameter::FieldCurvature, self.field_curvature == FieldCurvature::Flat),
             (Parameter::FieldCurvatureGrowth, self.field_curvature != FieldCurvature::Estimated),
             // Images alone hardly determine these, so they are free only if they have a prior.

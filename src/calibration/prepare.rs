@@ -175,7 +175,9 @@ fn start_camera(
         (Start::Camera(camera), _) => camera.clone(),
     };
     let lens = &mut camera.main_lens;
-    lens.exit_pupil_mm.z = options.exit_pupil_mm().unwrap_or(lens.exit_pupil_mm.z);
+    if let Some(place) = options.exit_pupil_mm() {
+        (lens.exit_pupil_mm.z, lens.pupil_aberration_per_mm) = (place, 0.0);
+    }
     if options.field_curvature == FieldCurvature::Flat {
         lens.field_curvature_per_mm = 0.0;
     }

@@ -26,6 +26,9 @@ pub struct MainLens {
     /// Centre P = (e_x, e_y, e_z) of the exit pupil in the camera frame, mm, the origin of the light of every micro-image; e_z
     /// is negative towards the array. In the paper it lies in the lens, at 0.
     pub exit_pupil_mm: Vector3<f64>,
+    /// Spherical aberration e_r of the exit pupil, mm⁻¹: seen from a micro-lens at the distance r from the axis, the pupil lies
+    /// at e_z + e_r r².
+    pub pupil_aberration_per_mm: f64,
     /// Setting of the lens; recorded only, the model does not use it.
     pub setting: Option<LensSetting>,
 }
@@ -41,6 +44,7 @@ impl MainLens {
             field_curvature_per_mm: 0.0,
             field_curvature_growth_per_mm: 0.0,
             exit_pupil_mm: Vector3::zeros(),
+            pupil_aberration_per_mm: 0.0,
             setting: None,
         }
     }

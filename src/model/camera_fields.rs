@@ -50,6 +50,8 @@ struct MainLensFile {
     field_curvature_growth_per_mm: f64,
     #[serde(default)]
     exit_pupil_mm: [f64; 3],
+    #[serde(default)]
+    pupil_aberration_per_mm: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     f_number: Option<f64>,
     /// Focus distance; omitted if the lens was focused at infinity or the setting is not known.
@@ -95,6 +97,7 @@ impl From<PlenopticCamera> for CameraFields {
                 field_curvature_per_mm: lens.field_curvature_per_mm,
                 field_curvature_growth_per_mm: lens.field_curvature_growth_per_mm,
                 exit_pupil_mm: lens.exit_pupil_mm.into(),
+                pupil_aberration_per_mm: lens.pupil_aberration_per_mm,
                 f_number: lens.setting.map(|s| s.f_number),
                 // JSON has no infinity.
                 focus_distance_mm: focus.filter(|h| h.is_finite()),
@@ -139,6 +142,7 @@ impl TryFrom<CameraFields> for PlenopticCamera {
                 field_curvature_per_mm: lens.field_curvature_per_mm,
                 field_curvature_growth_per_mm: lens.field_curvature_growth_per_mm,
                 exit_pupil_mm: Vector3::from(lens.exit_pupil_mm),
+                pupil_aberration_per_mm: lens.pupil_aberration_per_mm,
                 setting: lens.f_number.map(|f_number| LensSetting {
                     f_number,
                     focus_distance_mm: lens.focus_distance_mm.unwrap_or(f64::INFINITY),

@@ -63,12 +63,13 @@ impl Parameter {
     pub const SHAPE: [Self; SHAPE] = [Self::SagX, Self::SagY, Self::Twist, Self::Aspect];
 
     /// Parameters that the camera of the paper does not have: field curvature, exit pupil, a second pitch.
-    pub const BEYOND_THE_PAPER: [Self; 6] = [
+    pub const BEYOND_THE_PAPER: [Self; 7] = [
         Self::FieldCurvature,
         Self::FieldCurvatureGrowth,
         Self::PupilX,
         Self::PupilY,
         Self::PupilZ,
+        Self::PupilAberration,
         Self::PitchRatio,
     ];
 
@@ -219,6 +220,7 @@ places!(PlenopticCamera {
     PupilX => main_lens.exit_pupil_mm[0];
     PupilY => main_lens.exit_pupil_mm[1];
     PupilZ => main_lens.exit_pupil_mm[2];
+    PupilAberration => main_lens.pupil_aberration_per_mm;
     PrincipalPointU => mla.principal_point_px[0];
     PrincipalPointV => mla.principal_point_px[1];
     ArrayToSensor => mla.mla_to_sensor_mm;

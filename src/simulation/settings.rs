@@ -133,6 +133,12 @@ impl Settings {
                  field_curvature_growth_per_mm = 0",
             ));
         }
+        if self.camera.main_lens.pupil_aberration_per_mm != 0.0 {
+            return Err(Error::invalid(
+                "the exit pupil of a lens without a prescription has no aberration, and that of a \
+                 lens with one follows from its surfaces: give pupil_aberration_per_mm = 0",
+            ));
+        }
         if let Some(prescription) = &self.prescription {
             prescription.validate()?;
             check_camera(&self.camera, prescription)?;

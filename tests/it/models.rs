@@ -112,7 +112,12 @@ fn without_a_group_the_minimum_is_that_of_a_calibration_without_it() {
     let calibration = run(&start(&truth), &observations, &options);
     let board = board();
     let refit = Refit::new(&calibration, &board);
-    let held = [Parameter::PupilZ, Parameter::FieldCurvature, Parameter::FieldCurvatureGrowth];
+    let held = [
+        Parameter::PupilZ,
+        Parameter::PupilAberration,
+        Parameter::FieldCurvature,
+        Parameter::FieldCurvatureGrowth,
+    ];
     options.fix.extend(held);
     let expected = run(&start(&truth), &observations, &options);
     let found = refit.without(&held).unwrap();
@@ -152,6 +157,7 @@ fn what_cannot_be_compared_is_an_error_with_the_reason() {
     let mut options = defaults();
     options.fix.extend([
         Parameter::PupilZ,
+        Parameter::PupilAberration,
         Parameter::FieldCurvature,
         Parameter::FieldCurvatureGrowth,
         Parameter::Radial1,

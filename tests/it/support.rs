@@ -69,8 +69,12 @@ pub fn drawn(camera: &PlenopticCamera, noise: &Noise, seed: u64) -> Observations
 /// One thread: the result does not depend on the machine. No priors and no loss: the observations
 /// alone, and of the parameters those of the paper.
 pub fn options() -> CalibrationOptions {
-    let mut fix =
-        vec![Parameter::FieldCurvature, Parameter::FieldCurvatureGrowth, Parameter::PupilZ];
+    let mut fix = vec![
+        Parameter::FieldCurvature,
+        Parameter::FieldCurvatureGrowth,
+        Parameter::PupilZ,
+        Parameter::PupilAberration,
+    ];
     fix.extend(Parameter::SHAPE);
     CalibrationOptions {
         blur: Blur::Features,

@@ -161,6 +161,14 @@ struct MainLens {
 template <typename T>
 struct ExitPupil {
   T x, y, z;
+  /// spherical aberration e_r of the pupil, 1/mm: seen from the distance r, it lies at z + e_r r^2
+  T aberration;
+
+  /// Returns P as seen from a micro-lens with the centre C, mm.
+  Vector3<T> seen_from(const Vector3<T>& center) const {
+    const T dx = center.x - x, dy = center.y - y;
+    return {x, y, z + aberration * (dx * dx + dy * dy)};
+  }
 
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
   template <typename Self, typename F>

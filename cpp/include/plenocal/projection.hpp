@@ -266,9 +266,10 @@ class ArrayOptics {
   /// the pupil.
   Pixel<T> micro_image_center(const ExitPupil<T>& pupil, const Node& node) const {
     const Vector3<T> center = micro_lens_center(node);
-    const T scale = (sensor_z_ - pupil.z) / (center.z - pupil.z);
-    return {to_u(pupil.x + scale * (center.x - pupil.x)),
-            to_v(pupil.y + scale * (center.y - pupil.y))};
+    const Vector3<T> origin = pupil.seen_from(center);
+    const T scale = (sensor_z_ - origin.z) / (center.z - origin.z);
+    return {to_u(origin.x + scale * (center.x - origin.x)),
+            to_v(origin.y + scale * (center.y - origin.y))};
   }
 
  private:

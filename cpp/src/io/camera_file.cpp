@@ -51,8 +51,8 @@ void require_known_fields(const Field& root) {
   root["sensor"].require_keys({"width_px", "height_px", "pixel_size_mm"});
   root["main_lens"].require_keys({"focal_length_mm", "q1_per_mm2", "q2_per_mm4", "q3_per_mm6",
                                   "p1_per_mm", "p2_per_mm", "field_curvature_per_mm",
-                                  "field_curvature_growth_per_mm", "exit_pupil_mm", "f_number",
-                                  "focus_distance_mm"});
+                                  "field_curvature_growth_per_mm", "exit_pupil_mm",
+                                  "pupil_aberration_per_mm", "f_number", "focus_distance_mm"});
   root["micro_lens_array"].require_keys({"lattice", "columns", "rows", "shifted", "lens_to_mla_mm",
                                          "mla_to_sensor_mm", "rotation_rad", "offset_mm",
                                          "pitch_mm", "pitch_ratio", "focal_lengths_mm",
@@ -66,8 +66,8 @@ void require_distances(const Field& boards) {
   }
 }
 
-// Adds fields that files of version 1 do not have: exit pupil and field curvature, which are 0
-// there.
+// Adds fields that older files do not have: exit pupil, its aberration, and field curvature, which
+// are 0 there.
 void complete(Json* json) {
   const auto lens = json->find("main_lens");
   if (lens == json->end() || !lens->is_object()) return;
@@ -75,6 +75,7 @@ void complete(Json* json) {
     if (!lens->contains(key) || (*lens)[key].is_null()) (*lens)[key] = value;
   };
   add("exit_pupil_mm", {0.0, 0.0, 0.0});
+  add("pupil_aberration_per_mm", 0.0);
   add("field_curvature_per_mm", 0.0);
   add("field_curvature_growth_per_mm", 0.0);
 }
