@@ -112,6 +112,11 @@ pub enum ExitPupil {
     At(f64),
 }
 
+impl ExitPupil {
+    /// Exit pupil of the paper: in the lens, without aberration.
+    pub const AT_LENS: Self = Self::At(0.0);
+}
+
 #[derive(Deserialize)]
 #[serde(untagged, expecting = "exit_pupil is \"estimated\", \"at-lens\", or e_z in mm")]
 enum ExitPupilText {
@@ -136,7 +141,7 @@ impl FromStr for ExitPupil {
     fn from_str(text: &str) -> Result<Self> {
         match text {
             "estimated" => Ok(Self::Estimated),
-            "at-lens" => Ok(Self::At(0.0)),
+            "at-lens" => Ok(Self::AT_LENS),
             number => match number.parse() {
                 Ok(place) if f64::is_finite(place) => Ok(Self::At(place)),
                 _ => Err(Error::invalid(format!(
@@ -281,8 +286,8 @@ pub struct CalibrationOptions {
     /// One micro-lens pitch, or one along x and one along y [default: one].
     #[arg(long)]
     pub pitches: Pitches,
-    /// Position of the exit pupil on the axis of the main lens: estimated; at-lens (the paper); or fixed at a distance
-    /// from the lens in mm, negative towards the array [default: estimated].
+    /// Position of the exit pupil on the axis of the main lens: estimated; at-lens, without aberration (the paper); or
+    /// fixed at a distance from the lens in mm, negative towards the array [default: estimated].
     #[arg(long, value_name = "PLACE")]
     pub exit_pupil: ExitPupil,
     /// Curvature of the images of a plane [default: estimated].
@@ -474,7 +479,7 @@ impl CalibrationOptions {
         let implied = [
             (Parameter::PitchRatio, self.pitches == Pitches::One),
             (Parameter::PupilZ, matches!(self.exit_pupil, ExitPupil::At(_))),
-            (Parameter::PupilAberration, matches!(self.exit_pupil, ExitPupil::At(_))),
+            (Parameter::PupilAberration, self.exit_pupil == ExitPupil::AT_LENS),
             (Parameter::FieldCurvature, self.field_curvature == FieldCurvature::Flat),
             (Parameter::FieldCurvatureGrowth, self.field_curvature != FieldCurvature::Estimated),
             // Images alone hardly determine these, so they are free only if they have a prior.

@@ -8,8 +8,8 @@ use crate::calibration::focus::refocused;
 use crate::calibration::frames::{Frames, given_frames, initial_frames};
 use crate::calibration::priors::check_priors;
 use crate::calibration::{
-    BlurMeasurement, CalibrationOptions, FieldCurvature, LeftOut, Mode, SolvedProblem, Start,
-    Weights, initial_camera,
+    BlurMeasurement, CalibrationOptions, ExitPupil, FieldCurvature, LeftOut, Mode, SolvedProblem,
+    Start, Weights, initial_camera,
 };
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue, list};
@@ -175,8 +175,9 @@ fn start_camera(
         (Start::Camera(camera), _) => camera.clone(),
     };
     let lens = &mut camera.main_lens;
-    if let Some(place) = options.exit_pupil_mm() {
-        (lens.exit_pupil_mm.z, lens.pupil_aberration_per_mm) = (place, 0.0);
+    lens.exit_pupil_mm.z = options.exit_pupil_mm().unwrap_or(lens.exit_pupil_mm.z);
+    if options.exit_pupil == ExitPupil::AT_LENS {
+        lens.pupil_aberration_per_mm = 0.0;
     }
     if options.field_curvature == FieldCurvature::Flat {
         lens.field_curvature_per_mm = 0.0;

@@ -286,7 +286,8 @@ pub(super) fn stage_results(
             Error::invalid("COMPOTE's intrinsics.js needs the micro-image centres")
         })?;
         let lens = &calibration.camera.main_lens;
-        if lens.exit_pupil_mm.norm() > 0.0 || lens.has_curved_field() {
+        let has_pupil = lens.exit_pupil_mm.norm() > 0.0 || lens.pupil_aberration_per_mm != 0.0;
+        if has_pupil || lens.has_curved_field() {
             say("warning: COMPOTE's files have no exit pupil and no field curvature, so \
                  intrinsics.js describes another camera: calibrate with --exit-pupil at-lens \
                  --field-curvature flat");

@@ -25,6 +25,7 @@ fn real_camera(exit_pupil_mm: f64) -> PlenopticCamera {
     camera.main_lens.exit_pupil_mm = Vector3::new(0.0, 0.0, exit_pupil_mm);
     camera.main_lens.field_curvature_per_mm = 0.006;
     camera.main_lens.field_curvature_growth_per_mm = 0.01;
+    camera.main_lens.pupil_aberration_per_mm = 0.02;
     camera
 }
 
