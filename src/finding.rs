@@ -356,7 +356,7 @@ issues! {
         "take white images without clipped samples";
     /// Micro-images at the corners of the image are not round.
     ObliquePupil "oblique-pupil" { narrower: f64 } =>
-        format!("the micro-images at the corners of the image are {:.0} % narrower radially: the main lens vignettes there, and distortion, field curvature and the tilt of the array can be off by several σ", 100.0 * narrower),
+        format!("the micro-images at the corners of the image are {:.0} % narrower radially: the main lens vignettes there, so that e_r and Q1_m are not estimated, and distortion, field curvature and the tilt of the array can be off by several σ", 100.0 * narrower),
         "take boards and white images at a larger f-number, or keep boards away from the border of the image";
     /// Few micro-images have the size of their lens type.
     LensTypesDisagree "lens-types-disagree" { agreement: f64 } =>

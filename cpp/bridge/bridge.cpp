@@ -153,8 +153,10 @@ rust::Vec<NodeRow> lattice(const CameraParts& parts) {
 rust::Vec<Pair> distortion(const CameraParts& parts, rust::Slice<const Pair> points_mm) {
   const Camera camera = to_core(parts);
   validate(camera);
+  // At the magnification of the plane that the main lens images onto the array.
+  const double magnification = 1.0 - camera.mla.lens_to_mla / camera.main_lens.focal_length;
   return mapped<rust::Vec>(points_mm, [&](const Pair& point) -> Pair {
-    const auto shift = plenocal::distortion(camera.main_lens, point.x, point.y);
+    const auto shift = plenocal::distortion(camera.main_lens, magnification, point.x, point.y);
     return {shift.x, shift.y};
   });
 }

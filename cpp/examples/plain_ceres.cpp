@@ -59,7 +59,7 @@ The array has to be hexagonal with straight rows, and the board known (--board f
 // ---- Camera model --------------------------------------------------------------------------
 
 // Parameter blocks. A pose is the angle-axis rotation and the translation of camera from board.
-enum MainLens { kF, kQ1, kQ2, kQ3, kP1, kP2, kKappa, kKappaM, kMainLensSize };
+enum MainLens { kF, kQ1, kQ2, kQ3, kQ1m, kP1, kP2, kKappa, kKappaM, kMainLensSize };
 enum ExitPupil { kEx, kEy, kEz, kEr, kPupilSize };
 enum Sensor { kU0, kV0, kLittleD, kSensorSize };
 enum Mla { kThetaX, kThetaY, kThetaZ, kTx, kTy, kBigD, kMlaSize };
@@ -87,7 +87,7 @@ struct Parameters {
       for (const char* name : of_block)
         names[name] = {block.data(), static_cast<int>(block.size()), index++};
     };
-    add(lens, {"F", "Q1", "Q2", "Q3", "P1", "P2", "kappa", "kappa_m"});
+    add(lens, {"F", "Q1", "Q2", "Q3", "Q1_m", "P1", "P2", "kappa", "kappa_m"});
     add(pupil, {"e_x", "e_y", "e_z", "e_r"});
     add(sensor, {"u0", "v0", "d"});
     add(mla, {"theta_x", "theta_y", "theta_z", "t_x", "t_y", "D"});
@@ -176,7 +176,7 @@ struct FeatureResidual {
 
     // Brown-Conrady distortion of (x', y') in mm.
     const T *Q = lens + kQ1, *P = lens + kP1;
-    const T radial = r2 * (Q[0] + r2 * (Q[1] + r2 * Q[2]));
+    const T radial = r2 * (Q[0] - lens[kQ1m] * m + r2 * (Q[1] + r2 * Q[2]));
     const T xd = x + x * radial + P[0] * (r2 + 2.0 * x * x) + 2.0 * P[1] * x * y;
     const T yd = y + y * radial + P[1] * (r2 + 2.0 * y * y) + 2.0 * P[0] * x * y;
 
@@ -291,6 +291,7 @@ void ReadStart(const Json& camera, const Json& poses, Lattice* lattice, Paramete
              lens.at("q1_per_mm2"),
              lens.at("q2_per_mm4"),
              lens.at("q3_per_mm6"),
+             lens.value("q1_growth_per_mm2", 0.0),
              lens.at("p1_per_mm"),
              lens.at("p2_per_mm"),
              lens.at("field_curvature_per_mm"),
@@ -433,6 +434,7 @@ Json CameraJson(Json camera, bool converged, const Parameters& p) {
                          "q1_per_mm2",
                          "q2_per_mm4",
                          "q3_per_mm6",
+                         "q1_growth_per_mm2",
                          "p1_per_mm",
                          "p2_per_mm",
                          "field_curvature_per_mm",

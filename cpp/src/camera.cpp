@@ -63,10 +63,11 @@ std::optional<Feature<double>> project(const Camera& camera, const Pose& camera_
   if (!std::isfinite(point.z)) return std::nullopt;
   const auto image = main_lens_image(optics.main_lens, point);
   if (!image) return std::nullopt;
-  const auto ideal = undistort(optics.main_lens, {image->x, image->y});
-  if (!ideal) return std::nullopt;
   const double magnification =
       -camera.main_lens.focal_length / (point.z - camera.main_lens.focal_length);
+  const auto ideal =
+      undistort(optics.main_lens, Magnification(magnification), {image->x, image->y});
+  if (!ideal) return std::nullopt;
   // A point that distortion folds back into the image is the image of another point.
   const double off =
       std::hypot(ideal->x - magnification * point.x, ideal->y - magnification * point.y);

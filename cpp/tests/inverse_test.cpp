@@ -20,13 +20,13 @@ TEST(Undistort, InvertsDistortionUpToItsFold) {
   lens.focal_length = 50.0;
   lens.radial[0] = -0.01;
   for (double x : {0.0, 1e-3, 1.0, 5.0, 5.7}) {
-    const Vector2<double> shift = distortion(lens, x, 0.0);
-    const auto ideal = undistort(lens, {x + shift.x, 0.0});
+    const Vector2<double> shift = distortion(lens, -0.1, x, 0.0);
+    const auto ideal = undistort(lens, Magnification(-0.1), {x + shift.x, 0.0});
     ASSERT_TRUE(ideal) << x;
     EXPECT_NEAR(ideal->x, x, 1e-9);
   }
   for (double x : {3.85, 3.9, 10.0, 1e6, kNan, kInfinity}) {
-    EXPECT_FALSE(undistort(lens, {x, 0.0})) << x;
+    EXPECT_FALSE(undistort(lens, Magnification(-0.1), {x, 0.0})) << x;
   }
 }
 

@@ -185,7 +185,7 @@ TEST(Refine, ExitPupilAndFieldCurvatureAreRecovered) {
   EXPECT_EQ(free.termination, Termination::kConverged) << free.message;
   expect_recovered(free, truth);
   // A pupil in the lens cannot fit this, nor can a flat field.
-  for (const std::string at_zero : {"e_z", "e_r", "kappa", "kappa_m"}) {
+  for (const std::string at_zero : {"e_z", "e_r", "kappa", "kappa_m", "Q1_m"}) {
     Scene other = truth;
     for_each_parameter(other.camera, [&](const std::string& name, double& parameter) {
       if (name == at_zero) parameter = 0.0;

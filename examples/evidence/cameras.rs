@@ -47,7 +47,7 @@ const COMPARED: [u64; 4] = [SEED, SEED + 8, SEED + 11, SEED + 13];
 const FOLDS: usize = 5;
 
 /// Parameters that a traced lens does not have.
-const OF_THIN_LENSES: [&str; 8] = ["Q1", "Q2", "Q3", "P1", "P2", "kappa", "kappa_m", "e_r"];
+const OF_THIN_LENSES: [&str; 9] = ["Q1", "Q2", "Q3", "Q1_m", "P1", "P2", "kappa", "kappa_m", "e_r"];
 
 /// Calibrates all sets.
 pub fn tables(extent: &Extent) -> Result<Vec<String>> {

@@ -31,9 +31,9 @@ pub enum Group {
     ExitPupil,
     /// Field curvature κ and its growth κ_m.
     FieldCurvature,
-    /// Growth κ_m of the field curvature with the magnification.
-    CurvatureGrowth,
-    /// Radial distortion, Q₁ to Q₃.
+    /// Growth of field curvature (κ_m) and distortion (Q₁ₘ) with the magnification.
+    Growth,
+    /// Radial distortion, Q₁ to Q₃ and Q₁ₘ.
     RadialDistortion,
     /// Tangential distortion, P₁ and P₂.
     TangentialDistortion,
@@ -46,7 +46,7 @@ impl Group {
     pub const ALL: [Self; 6] = [
         Self::ExitPupil,
         Self::FieldCurvature,
-        Self::CurvatureGrowth,
+        Self::Growth,
         Self::RadialDistortion,
         Self::TangentialDistortion,
         Self::BoardShape,
@@ -59,8 +59,8 @@ impl Group {
         match self {
             Self::ExitPupil => &[P::PupilZ, P::PupilAberration],
             Self::FieldCurvature => &[P::FieldCurvature, P::FieldCurvatureGrowth],
-            Self::CurvatureGrowth => &[P::FieldCurvatureGrowth],
-            Self::RadialDistortion => &[P::Radial1, P::Radial2, P::Radial3],
+            Self::Growth => &[P::FieldCurvatureGrowth, P::Radial1Growth],
+            Self::RadialDistortion => &[P::Radial1, P::Radial2, P::Radial3, P::Radial1Growth],
             Self::TangentialDistortion => &[P::Tangential1, P::Tangential2],
             Self::BoardShape => &P::SHAPE,
         }
@@ -72,7 +72,7 @@ impl fmt::Display for Group {
         f.write_str(match self {
             Self::ExitPupil => "exit pupil",
             Self::FieldCurvature => "field curvature",
-            Self::CurvatureGrowth => "growth of the field curvature",
+            Self::Growth => "growth with the magnification",
             Self::RadialDistortion => "radial distortion",
             Self::TangentialDistortion => "tangential distortion",
             Self::BoardShape => "shape of the board",

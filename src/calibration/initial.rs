@@ -1,6 +1,6 @@
 //! Initial intrinsics from datasheet, internal parameters and grid (paper, section 5.1).
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
 use crate::error::{Error, Result};
 use crate::model::{
@@ -10,7 +10,7 @@ use crate::model::{
 use crate::precalibration::MicroImageArray;
 
 /// Returns the camera from which the refinement starts. The array is placed so that the micro-image centres are
-/// reprojected onto the grid. The exit pupil lies on the axis at e_z = `exit_pupil_mm`.
+/// reprojected onto the grid. The exit pupil lies on the axis at e_z = `exit_pupil_mm`, and the axis meets the sensor at `principal_point`, px.
 ///
 /// Returns an error if a value is impossible.
 pub fn initial_camera(
@@ -18,6 +18,7 @@ pub fn initial_camera(
     internal: &InternalParameters,
     grid: &MicroImageArray,
     exit_pupil_mm: f64,
+    principal_point: Vector2<f64>,
 ) -> Result<PlenopticCamera> {
     datasheet.validate()?;
     internal.validate(datasheet.lens_types)?;
@@ -39,7 +40,6 @@ pub fn initial_camera(
         )));
     }
     let pitch = optics::micro_lens_pitch(micro_image_pitch, pupil_to_mla, mla_to_sensor);
-    let principal_point = datasheet.sensor.center_px();
     // The ray from the pupil through the centre of the array meets the sensor at the centre of the grid.
     let shrink = pupil_to_mla / (pupil_to_mla + mla_to_sensor);
     let focal_length = |&q: &f64| optics::micro_lens_focal_length(q, pitch, mla_to_sensor);

@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
+use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
 use super::start::Start;
+use crate::checks::whites::vignettes;
 use crate::error::{Error, Result};
 use crate::model::{BoardShape, FramePose, Parameter, SHAPE, positive};
 use crate::quantity::Estimate;
@@ -75,6 +77,17 @@ pub enum Pitches {
     One,
     /// One pitch along x and one along y.
     Two,
+}
+
+/// Distortion of the main lens.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Distortion {
+    /// Estimated, together with its growth with the magnification.
+    #[default]
+    Estimated,
+    /// Estimated, and constant over distance (the paper).
+    Constant,
 }
 
 /// Curvature of the field.
@@ -290,13 +303,16 @@ pub struct CalibrationOptions {
     /// fixed at a distance from the lens in mm, negative towards the array [default: estimated].
     #[arg(long, value_name = "PLACE")]
     pub exit_pupil: ExitPupil,
+    /// Radial distortion over distance [default: estimated].
+    #[arg(long)]
+    pub distortion: Distortion,
     /// Curvature of the images of a plane [default: estimated].
     #[arg(long)]
     pub field_curvature: FieldCurvature,
     /// Shape of the board [default: auto].
     #[arg(long)]
     pub board: BoardModel,
-    /// Parameters that keep their initial value, e.g. F,Q3. The parameters are F, Q1 to Q3, P1, P2, kappa, kappa_m,
+    /// Parameters that keep their initial value, e.g. F,Q3. The parameters are F, Q1 to Q3, Q1_m, P1, P2, kappa, kappa_m,
     /// e_z, e_r, u0, v0, d, theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect.
     /// (e_x and e_y are 0 unless they have a prior, and dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
@@ -341,6 +357,10 @@ pub struct CalibrationOptions {
     /// all the work.
     #[arg(skip)]
     pub extrapolate: bool,
+    /// Initial principal point, px, as aberrations in the images show it; otherwise the middle of the sensor.
+    #[arg(skip)]
+    #[serde(skip)]
+    pub axis_px: Option<Vector2<f64>>,
     /// Initial poses of boards; the poses of other frames are found.
     #[arg(skip)]
     #[serde(skip)]
@@ -355,6 +375,7 @@ impl Default for CalibrationOptions {
             mode: Mode::default(),
             pitches: Pitches::default(),
             exit_pupil: ExitPupil::default(),
+            distortion: Distortion::default(),
             field_curvature: FieldCurvature::default(),
             board: BoardModel::default(),
             fix: Vec::new(),
@@ -370,14 +391,20 @@ impl Default for CalibrationOptions {
             max_iterations: solver.max_iterations,
             threads: solver.threads,
             extrapolate: solver.extrapolate,
+            axis_px: None,
             poses: Vec::new(),
         }
     }
 }
 
+/// Parameters of effects that move features and centres by a few tenths of a pixel. Errors of other origin would act on them.
+pub(super) const SMALL_TERMS: [Parameter; 2] =
+    [Parameter::Radial1Growth, Parameter::PupilAberration];
+
 /// Method of the paper, as `[calibration]` of a project file would state it.
 const PAPER: &str = "
 exit_pupil = \"at-lens\"
+distortion = \"constant\"
 field_curvature = \"flat\"
 board = \"flat\"
 blur = \"features\"
@@ -480,6 +507,7 @@ impl CalibrationOptions {
             (Parameter::PitchRatio, self.pitches == Pitches::One),
             (Parameter::PupilZ, matches!(self.exit_pupil, ExitPupil::At(_))),
             (Parameter::PupilAberration, self.exit_pupil == ExitPupil::AT_LENS),
+            (Parameter::Radial1Growth, self.distortion == Distortion::Constant),
             (Parameter::FieldCurvature, self.field_curvature == FieldCurvature::Flat),
             (Parameter::FieldCurvatureGrowth, self.field_curvature != FieldCurvature::Estimated),
             // Images alone hardly determine these, so they are free only if they have a prior.
@@ -488,6 +516,18 @@ impl CalibrationOptions {
         ];
         let implied = implied.into_iter().filter(|(_, fixed)| *fixed);
         implied.map(|(parameter, _)| parameter).chain(self.fix.iter().copied()).collect()
+    }
+
+    /// Returns the options for a camera with these white images. If the main lens vignettes, the centroid of a micro-image is
+    /// not the image of the pupil's centre, and small terms without a stated prior keep their value.
+    pub(super) fn of_start(&self, start: &Start) -> Self {
+        let mut options = self.clone();
+        if start.internal().is_some_and(|internal| vignettes(internal.vignetting)) {
+            let is_held =
+                |term: &&Parameter| !self.priors.knows(term.name()) && !self.fix.contains(term);
+            options.fix.extend(SMALL_TERMS.iter().filter(is_held));
+        }
+        options
     }
 
     /// Returns e_z if it is stated, mm.
@@ -573,11 +613,12 @@ impl CalibrationOptions {
             return Err(Error::NotCalibrated);
         }
         let stated = self.exit_pupil != ExitPupil::Estimated
+            || self.distortion != Distortion::Estimated
             || self.field_curvature != FieldCurvature::Estimated;
         if self.mode == Mode::PosesOnly && stated {
             return Err(Error::invalid(
-                "the camera is fixed if only poses are estimated: leave out its exit pupil and field \
-                 curvature (exit_pupil, field_curvature)",
+                "the camera is fixed if only poses are estimated: leave out its exit pupil, distortion \
+                 and field curvature (exit_pupil, distortion, field_curvature)",
             ));
         }
         if self.mode == Mode::PosesOnly && self.board == BoardModel::Bent {
@@ -585,6 +626,15 @@ impl CalibrationOptions {
                 "the shape of a bent board (board = \"bent\") is only estimated together with a \
                  camera: give the shape from that calibration",
             ));
+        }
+        let image = start.sensor();
+        let far_px = f64::from(image.width_px) + f64::from(image.height_px);
+        if let Some(axis) = self.axis_px.filter(|axis| (axis - image.center_px()).norm() > far_px) {
+            return Err(Error::invalid(format!(
+                "the optical axis (axis_px of detection.json) is at ({:.0}, {:.0}) px, far outside the \
+                 image: repeat the detection",
+                axis.x, axis.y
+            )));
         }
         let is_fixed = |parameter: &Parameter| self.fix.contains(parameter);
         if self.board == BoardModel::Bent && Parameter::SHAPE.iter().all(is_fixed) {

@@ -8,8 +8,8 @@ use crate::calibration::focus::refocused;
 use crate::calibration::frames::{Frames, given_frames, initial_frames};
 use crate::calibration::priors::check_priors;
 use crate::calibration::{
-    BlurMeasurement, CalibrationOptions, ExitPupil, FieldCurvature, LeftOut, Mode, SolvedProblem,
-    Start, Weights, initial_camera,
+    BlurMeasurement, CalibrationOptions, Distortion, ExitPupil, FieldCurvature, LeftOut, Mode,
+    SolvedProblem, Start, Weights, initial_camera,
 };
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue, list};
@@ -163,7 +163,9 @@ fn start_camera(
 ) -> Result<PlenopticCamera> {
     let mut camera = match (start, grid) {
         (Start::Datasheet(datasheet, internal), Some(grid)) => {
-            initial_camera(datasheet, internal, grid, options.exit_pupil_mm().unwrap_or(0.0))?
+            let axis_px = options.axis_px.unwrap_or(datasheet.sensor.center_px());
+            let exit_pupil_mm = options.exit_pupil_mm().unwrap_or(0.0);
+            initial_camera(datasheet, internal, grid, exit_pupil_mm, axis_px)?
         }
         (Start::Datasheet(..), None) => return Err(Error::NoCenters),
         (Start::Camera(camera), Some(grid)) if camera.lattice != grid.lattice => {
@@ -178,6 +180,9 @@ fn start_camera(
     lens.exit_pupil_mm.z = options.exit_pupil_mm().unwrap_or(lens.exit_pupil_mm.z);
     if options.exit_pupil == ExitPupil::AT_LENS {
         lens.pupil_aberration_per_mm = 0.0;
+    }
+    if options.distortion == Distortion::Constant {
+        lens.q1_growth_per_mm2 = 0.0;
     }
     if options.field_curvature == FieldCurvature::Flat {
         lens.field_curvature_per_mm = 0.0;

@@ -6,11 +6,12 @@ use tracing::{debug, info};
 use crate::calibration::CalibrationOptions;
 use crate::calibration::checks::check_refined;
 use crate::calibration::frames::{Frames, reconsidered_poses};
+use crate::calibration::options::SMALL_TERMS;
 use crate::error::Result;
 use crate::model::BentBoard;
 use crate::solver::{
-    self, CostOptions, Iteration, Loss, LossKind, Problem, Refinement, SolverOptions,
-    SystematicError, Termination, Uncertainty,
+    self, CostOptions, Iteration, LossKind, Problem, Refinement, SolverOptions, SystematicError,
+    Termination, Uncertainty, names,
 };
 
 /// Limit of repetitions: the correction of one mirrored board may reveal others.
@@ -68,10 +69,12 @@ impl Settings<'_> {
             cost.prior_weight = stated.or(self.known_weight).unwrap_or(FIRST_WEIGHT);
         }
         // Far from the minimum nearly all residuals are in the flat part of a loss. Without a loss the solver takes a
-        // fifth of the steps.
-        let plain = |cost: &CostOptions| CostOptions {
-            loss: Loss { kind: LossKind::None, ..cost.loss },
-            ..cost.clone()
+        // fifth of the steps. Small terms would take up large residuals of other origin.
+        let plain = |cost: &CostOptions| {
+            let mut plain = cost.clone();
+            plain.loss.kind = LossKind::None;
+            plain.fixed.extend(names(&SMALL_TERMS));
+            plain
         };
         let is_far = self.known_weight.is_none();
         let mut rough = is_far && (!cost.priors.is_empty() || cost.loss.kind != LossKind::None);

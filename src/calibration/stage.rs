@@ -44,9 +44,10 @@ pub fn calibrate(
     options: &CalibrationOptions,
     progress: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Calibration> {
-    let prepared = prepared(start, board, observations, options)?;
+    let options = options.of_start(start);
+    let prepared = prepared(start, board, observations, &options)?;
     let board = BentBoard { board: *board, shape: options.known_shape() };
-    completed(prepared, board, options, None, progress)
+    completed(prepared, board, &options, None, progress)
 }
 
 /// Evaluates the cost that [`calibrate`] minimises at a solution that may come from elsewhere. Returns the result of a
@@ -61,9 +62,10 @@ pub fn cost_at(
     observations: &Observations,
     options: &CalibrationOptions,
 ) -> Result<Calibration> {
-    let prepared = prepared(start, board, observations, options)?;
+    let options = options.of_start(start);
+    let prepared = prepared(start, board, observations, &options)?;
     let board = BentBoard { board: *board, shape: options.known_shape() };
-    completed(prepared, board, options, Some(solution), &mut |_| true)
+    completed(prepared, board, &options, Some(solution), &mut |_| true)
 }
 
 /// Evaluates the cost of a problem at a solution, like [`cost_at`]. The problem gives observations, weights, loss,

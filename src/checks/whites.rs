@@ -1,6 +1,7 @@
 //! Checks of white images and of the array in them.
 
 use crate::finding::{Finding, Issue};
+use crate::quantity::Estimate;
 
 /// Smallest relative difference of a radius from the radius of its f-number that shows another f-number. Half a stop at f/4
 /// changes a radius by 10 %.
@@ -108,10 +109,15 @@ pub(crate) fn lens_types(agreement: Option<f64>) -> Option<Finding> {
     Some(Finding::caution(Issue::LensTypesDisagree { agreement }))
 }
 
-/// Checks the relative decrease of the width of micro-images at the corners along the direction to the middle, with σ.
-pub(crate) fn roundness((narrower, std_dev): (f64, f64)) -> Option<Finding> {
-    (narrower > NARROW && narrower > SURE * std_dev)
-        .then(|| Finding::caution(Issue::ObliquePupil { narrower }))
+/// Returns true if the main lens vignettes by a part that counts, from [`InternalParameters::vignetting`].
+pub(crate) fn vignettes(vignetting: Option<Estimate>) -> bool {
+    vignetting.is_some_and(|Estimate { value, std_dev }| value > NARROW && value > SURE * std_dev)
+}
+
+/// Checks whether the main lens vignettes.
+pub(crate) fn roundness(vignetting: Option<Estimate>) -> Option<Finding> {
+    let narrower = vignetting.filter(|_| vignettes(vignetting))?.value;
+    Some(Finding::caution(Issue::ObliquePupil { narrower }))
 }
 
 /// Returns the finding that m and q' are from straight lines, for lack of discs.

@@ -223,6 +223,7 @@ impl<'a> Run<'a> {
         }
 
         let observed = self.observed(&measured, &found);
+        self.options.axis_px = found.aberration().map(|aberration| aberration.axis_px);
         let options = self.options.clone();
         let (calibration, assessment) =
             self.stage(CALIBRATION, |run, output| run.calibration(&observed, &options, output))?;

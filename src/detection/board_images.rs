@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use super::flat_field::Likeness;
-use super::{Detection, FrameCounts, MicroImages};
+use super::{Aberration, Detection, FrameCounts, MicroImages};
 use crate::error::Result;
 use crate::finding::{Finding, Issue};
 use crate::image::RawImage;
@@ -82,6 +82,14 @@ impl DetectedBoards {
     pub fn features(&self) -> Vec<BapFeature> {
         let found = self.frames.iter().filter_map(|frame| frame.result.as_ref().ok());
         found.flat_map(|detection| detection.features.iter().copied()).collect()
+    }
+
+    /// Returns the aberrations of the main lens that the features are corrected for, with the optical axis; `None` if they are
+    /// not significant.
+    #[must_use]
+    pub fn aberration(&self) -> Option<Aberration> {
+        let aberration = self.aberration.aberration;
+        (aberration.coefficients_per_px2.amax() > 0.0).then_some(aberration)
     }
 
     /// Returns micro-images of this camera with the aperture ratio and the aberrations of the main lens that these boards show,

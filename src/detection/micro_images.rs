@@ -368,6 +368,7 @@ pub(super) mod tests {
             pupil_growth: 0.0,
             fall_off: None,
             tilt_gradient: None,
+            vignetting: None,
             point_spread_px2: None,
             aperture_ratio: None,
             levels: None,

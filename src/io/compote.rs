@@ -102,6 +102,7 @@ pub(super) fn internal_parameters_from(
         pupil_growth: 0.0,
         fall_off: None,
         tilt_gradient: None,
+        vignetting: None,
         point_spread_px2: None,
         aperture_ratio: None,
         levels: None,

@@ -1,11 +1,18 @@
 //! `detection.json`: features found in each frame, and what was dropped and why.
 
+use std::path::Path;
+
+use nalgebra::Vector2;
+use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::detection::{DetectedBoards, DetectedFrame, Detection, Edges};
+use super::json_file::{check_version, document_of, read_json};
+use crate::detection::{Aberration, DetectedBoards, DetectedFrame, Edges};
+use crate::error::Result;
 use crate::model::Board;
 
 const FORMAT: &str = "plenocal-detection";
+const VERSION: u64 = 1;
 
 /// Returns the content of `detection.json`.
 #[must_use]
@@ -17,8 +24,7 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
             "spread_std_dev_px2": edges.spread_px2.std_dev,
         })
     };
-    let aberration = |found: &Detection| {
-        let a = &found.aberration;
+    let aberration = |a: Aberration| {
         let [spherical, coma, astigmatism]: [f64; 3] = a.coefficients_per_px2.into();
         json!({
             "spherical_per_px2": spherical,
@@ -37,7 +43,6 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
             "features": frame.result.as_ref().map_or(0, |d| d.features.len()),
             "board_corners": c.board_corners,
             "edges": frame.result.as_ref().ok().and_then(|d| d.edges.as_ref()).map(edges),
-            "aberration": frame.result.as_ref().ok().map(aberration),
             "micro_images": { "looked_at": c.looked_at, "unusable": c.unusable },
             "corners": c.corners,
             "clusters": c.clusters,
@@ -55,10 +60,41 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
     };
     json!({
         "format": FORMAT,
-        "version": 1,
+        "version": VERSION,
         "board": { "columns": board.columns, "rows": board.rows, "square_mm": board.square_mm },
         "aperture_ratio": found.aperture_ratio,
         "fitted_with_aperture_ratio": found.fitted_with,
+        "aberration": found.aberration().map(aberration),
         "frames": found.frames.iter().map(of_frame).collect::<Vec<_>>(),
     })
+}
+
+#[derive(Deserialize)]
+struct DetectionFile {
+    #[serde(default)]
+    aberration: Option<AberrationFile>,
+}
+
+#[derive(Deserialize)]
+struct AberrationFile {
+    axis_px: [f64; 2],
+}
+
+/// Reads the optical axis from the file `detection.json` beside a features file, px; `None` if there is no such file, if it is of another
+/// program, or if the detection found no aberrations.
+///
+/// Returns an error that names the file if it cannot be read.
+pub fn read_axis_beside(features: &Path) -> Result<Option<Vector2<f64>>> {
+    let path = features.with_file_name("detection.json");
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let document = read_json(&path)?;
+    if document.get("format").and_then(Value::as_str) != Some(FORMAT) {
+        return Ok(None);
+    }
+    let file = check_version(&document, FORMAT, VERSION)
+        .and_then(|()| document_of::<DetectionFile>(document, FORMAT))
+        .map_err(|error| error.in_file(&path))?;
+    Ok(file.aberration.map(|aberration| aberration.axis_px.into()))
 }

@@ -15,6 +15,9 @@ pub struct MainLens {
     pub focal_length_mm: f64,
     /// Radial distortion Q₁, Q₂, Q₃ in mm⁻², mm⁻⁴, mm⁻⁶.
     pub radial: [f64; 3],
+    /// Growth Q₁ₘ of the radial distortion with the magnification, mm⁻²: its first order is Q₁ + Q₁ₘ |m|. Every lens has
+    /// some, since rays of nearer objects cross it at other heights.
+    pub q1_growth_per_mm2: f64,
     /// Tangential distortion P₁, P₂ in mm⁻¹.
     pub tangential: [f64; 2],
     /// Field curvature κ, mm⁻¹: images at the distance r from the axis are nearer to the lens by (κ + κ_m |m|) r², at the
@@ -40,6 +43,7 @@ impl MainLens {
         Self {
             focal_length_mm,
             radial: [0.0; 3],
+            q1_growth_per_mm2: 0.0,
             tangential: [0.0; 2],
             field_curvature_per_mm: 0.0,
             field_curvature_growth_per_mm: 0.0,

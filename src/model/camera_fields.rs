@@ -41,9 +41,11 @@ struct MainLensFile {
     q1_per_mm2: f64,
     q2_per_mm4: f64,
     q3_per_mm6: f64,
+    /// Growth of the distortion; 0 in files without it, like field curvature and exit pupil.
+    #[serde(default)]
+    q1_growth_per_mm2: f64,
     p1_per_mm: f64,
     p2_per_mm: f64,
-    /// Field curvature; 0 in files without it, like the exit pupil.
     #[serde(default)]
     field_curvature_per_mm: f64,
     #[serde(default)]
@@ -92,6 +94,7 @@ impl From<PlenopticCamera> for CameraFields {
                 q1_per_mm2,
                 q2_per_mm4,
                 q3_per_mm6,
+                q1_growth_per_mm2: lens.q1_growth_per_mm2,
                 p1_per_mm,
                 p2_per_mm,
                 field_curvature_per_mm: lens.field_curvature_per_mm,
@@ -138,6 +141,7 @@ impl TryFrom<CameraFields> for PlenopticCamera {
             main_lens: MainLens {
                 focal_length_mm: lens.focal_length_mm,
                 radial: [lens.q1_per_mm2, lens.q2_per_mm4, lens.q3_per_mm6],
+                q1_growth_per_mm2: lens.q1_growth_per_mm2,
                 tangential: [lens.p1_per_mm, lens.p2_per_mm],
                 field_curvature_per_mm: lens.field_curvature_per_mm,
                 field_curvature_growth_per_mm: lens.field_curvature_growth_per_mm,

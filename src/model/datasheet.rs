@@ -63,6 +63,9 @@ pub struct InternalParameters {
     /// Tilt gradient of the array, if measured.
     #[serde(alias = "lean")]
     pub tilt_gradient: Option<TiltGradient>,
+    /// Fraction by which micro-images at the corners of the image are narrower towards its middle than across, since the main
+    /// lens vignettes; if measured.
+    pub vignetting: Option<Estimate>,
     /// Point spread, if measured.
     #[serde(alias = "point_spread")]
     pub point_spread_px2: Option<Estimate>,

@@ -94,6 +94,7 @@ pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
         pupil_growth: 0.0,
         fall_off: None,
         tilt_gradient: None,
+        vignetting: None,
         point_spread_px2: camera.edge_spread.point_spread_px2,
         aperture_ratio: camera.edge_spread.aperture_ratio,
         levels: None,

@@ -62,8 +62,9 @@ impl Parameter {
     /// Parameters of the shape of a board.
     pub const SHAPE: [Self; SHAPE] = [Self::SagX, Self::SagY, Self::Twist, Self::Aspect];
 
-    /// Parameters that the camera of the paper does not have: field curvature, exit pupil, a second pitch.
-    pub const BEYOND_THE_PAPER: [Self; 7] = [
+    /// Parameters that the camera of the paper does not have: growth of distortion, field curvature, exit pupil, a second pitch.
+    pub const BEYOND_THE_PAPER: [Self; 8] = [
+        Self::Radial1Growth,
         Self::FieldCurvature,
         Self::FieldCurvatureGrowth,
         Self::PupilX,
@@ -213,6 +214,7 @@ places!(PlenopticCamera {
     Radial1 => main_lens.radial[0];
     Radial2 => main_lens.radial[1];
     Radial3 => main_lens.radial[2];
+    Radial1Growth => main_lens.q1_growth_per_mm2;
     Tangential1 => main_lens.tangential[0];
     Tangential2 => main_lens.tangential[1];
     FieldCurvature => main_lens.field_curvature_per_mm;

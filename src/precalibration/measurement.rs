@@ -16,7 +16,7 @@ use super::options::{PrecalibrationOptions, White};
 use super::pattern::Pattern;
 use super::radii::{RadiusEstimator, TypeRadius};
 use super::result::Precalibration;
-use super::roundness::oblong;
+use super::roundness::vignetting;
 use super::samples::Samples;
 use crate::checks::whites as checks;
 use crate::error::Result;
@@ -94,7 +94,8 @@ pub(super) fn measured(
         different_aperture((reference, &grey), &geometry, &samples, &found.pattern)
             .filter(|_| wrong_f_number.is_none());
     let by_lines = by_lines(discs, options.estimator, &mut internal.parameters);
-    let oblong = oblong(&grey, &array.centers, array.grid.pitch_px);
+    internal.parameters.vignetting = vignetting(&grey, &array.centers, array.grid.pitch_px);
+    let oblong = checks::roundness(internal.parameters.vignetting);
     let types = checks::lens_types(lens_types.agreement);
     // A wrong f-number explains why there are no discs.
     let by_light = wrong_f_number.or(by_lines);
@@ -218,6 +219,7 @@ mod tests {
             pupil_growth: 0.0,
             fall_off: None,
             tilt_gradient: None,
+            vignetting: None,
             point_spread_px2: None,
             aperture_ratio: None,
             levels: None,

@@ -7,27 +7,21 @@
 use nalgebra::{Matrix2, Vector1, Vector2};
 use rayon::prelude::*;
 
-use crate::checks::whites as checks;
-use crate::finding::Finding;
 use crate::image::{Grey, bounds};
 use crate::model::MicroImageCenter;
 use crate::numerics::NormalEquations;
+use crate::quantity::Estimate;
 
 /// Distance from the centre up to which light is read, in pitches.
 const REACH: f64 = 0.5;
 
-/// Returns a finding if micro-images towards the corners are not round.
-pub(super) fn oblong(image: &Grey, centers: &[MicroImageCenter], pitch_px: f64) -> Option<Finding> {
-    checks::roundness(narrower_at_corners(image, centers, pitch_px)?)
-}
-
-/// Measures the fraction by which micro-images at the corners of the image are narrower towards its middle than across,
-/// and its standard deviation. Returns `None` if too few are lit.
-fn narrower_at_corners(
+/// Measures the fraction by which micro-images at the corners of the image are narrower towards its middle than across.
+/// Returns `None` if too few are lit.
+pub(super) fn vignetting(
     image: &Grey,
     centers: &[MicroImageCenter],
     pitch_px: f64,
-) -> Option<(f64, f64)> {
+) -> Option<Estimate> {
     let (width, height) = image.size();
     let middle = Vector2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
     let measured = |center: &MicroImageCenter| {
@@ -51,7 +45,7 @@ fn narrower_at_corners(
     let inverse = equations.normal().try_inverse()?;
     let at_corners = fitted[0] + fitted[1];
     let sum = Vector2::repeat(1.0);
-    Some((at_corners, (variance * sum.dot(&(inverse * sum))).sqrt()))
+    Some(Estimate { value: at_corners, std_dev: (variance * sum.dot(&(inverse * sum))).sqrt() })
 }
 
 /// Computes the second moments of the light of a micro-image about its centroid, px²; `None` if it is cut or dark.
@@ -82,6 +76,7 @@ fn moments(image: &Grey, center: &Vector2<f64>, pitch_px: f64) -> Option<Matrix2
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::checks::whites::vignettes;
     use crate::image::{Color, RawImage, Samples};
 
     const PITCH: f64 = 20.0;
@@ -116,8 +111,9 @@ mod tests {
             std_dev_px: None,
         };
         let centers: Vec<MicroImageCenter> = (0..300).map(center).collect();
-        assert_eq!(oblong(&raw.grey(), &centers, PITCH).is_some(), narrower > 0.02);
-        narrower_at_corners(&raw.grey(), &centers, PITCH).unwrap().0
+        let found = vignetting(&raw.grey(), &centers, PITCH);
+        assert_eq!(vignettes(found), narrower > 0.02);
+        found.unwrap().value
     }
 
     #[test]

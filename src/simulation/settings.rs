@@ -127,13 +127,15 @@ impl Settings {
     pub fn validate(&self) -> Result<()> {
         check_rays(self.rays)?;
         self.camera.validate()?;
-        if self.camera.main_lens.field_curvature_growth_per_mm != 0.0 {
+        let lens = &self.camera.main_lens;
+        if lens.field_curvature_growth_per_mm != 0.0 || lens.q1_growth_per_mm2 != 0.0 {
             return Err(Error::invalid(
-                "a lens without a prescription has the same field curvature at all distances: give \
-                 field_curvature_growth_per_mm = 0",
+                "a lens without a prescription has the same field curvature and distortion at all \
+                 distances, and those of a lens with one follow from its surfaces: give \
+                 field_curvature_growth_per_mm = 0 and q1_growth_per_mm2 = 0",
             ));
         }
-        if self.camera.main_lens.pupil_aberration_per_mm != 0.0 {
+        if lens.pupil_aberration_per_mm != 0.0 {
             return Err(Error::invalid(
                 "the exit pupil of a lens without a prescription has no aberration, and that of a \
                  lens with one follows from its surfaces: give pupil_aberration_per_mm = 0",

@@ -159,6 +159,7 @@ impl Tracer {
             pupil_growth: 0.0,
             fall_off: None,
             tilt_gradient: None,
+            vignetting: None,
             point_spread_px2: None,
             aperture_ratio: Some(Estimate::exact(self.array.aperture_ratio)),
             levels: None,

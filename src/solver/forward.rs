@@ -9,7 +9,7 @@ use crate::error::Result;
 use crate::model::{BentBoard, PlenopticCamera};
 
 /// Computes the displacement of ideal image points by distortion of the main lens, all in mm in the camera frame
-/// (Brown-Conrady; paper, section 2.1).
+/// (Brown-Conrady; paper, section 2.1), for points that the lens images onto the array: at the magnification 1 − D/F.
 ///
 /// An error if the camera is not valid.
 pub fn distortion_mm(

@@ -207,6 +207,7 @@ pub fn compote_documents() -> [Value; 4] {
         pupil_growth: 0.0,
         fall_off: None,
         tilt_gradient: None,
+        vignetting: None,
         point_spread_px2: None,
         aperture_ratio: None,
         levels: None,

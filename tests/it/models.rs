@@ -163,6 +163,7 @@ fn what_cannot_be_compared_is_an_error_with_the_reason() {
         Parameter::Radial1,
         Parameter::Radial2,
         Parameter::Radial3,
+        Parameter::Radial1Growth,
         Parameter::Tangential1,
     ]);
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);

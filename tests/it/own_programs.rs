@@ -172,7 +172,7 @@ fn an_evaluation_by_another_cost_says_in_what_it_differs() {
     for term in [
         "loss cauchy 3 in the problem, loss none here",
         "residuals of ρ in the problem, no residuals of ρ here",
-        "Q3, kappa, kappa_m, e_z, e_r held in the problem, Q3, kappa, kappa_m, e_z, e_r free here",
+        "Q3, Q1_m, kappa, kappa_m, e_z, e_r held in the problem, Q3, Q1_m, kappa, kappa_m, e_z, e_r free here",
         "no priors on F, m",
         "mean σ of (u, v) 0.5000 px in the problem, mean σ of (u, v) 1.0000 px here",
     ] {

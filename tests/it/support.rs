@@ -70,6 +70,7 @@ pub fn drawn(camera: &PlenopticCamera, noise: &Noise, seed: u64) -> Observations
 /// alone, and of the parameters those of the paper.
 pub fn options() -> CalibrationOptions {
     let mut fix = vec![
+        Parameter::Radial1Growth,
         Parameter::FieldCurvature,
         Parameter::FieldCurvatureGrowth,
         Parameter::PupilZ,

@@ -141,6 +141,7 @@ template <typename T>
 struct MainLens {
   T focal_length;   ///< focal length F, mm
   T radial[3];      ///< radial distortion Q1, Q2, Q3 in mm^-2, mm^-4, mm^-6
+  T radial_growth;  ///< growth Q1_m, mm^-2: the first order is Q1 + Q1_m |m| at the magnification m
   T tangential[2];  ///< tangential distortion P1, P2 in mm^-1
   /// field curvature kappa, mm^-1: images at the distance r from the axis are (kappa + kappa_m |m|)
   /// r^2 nearer to the lens, at the magnification m

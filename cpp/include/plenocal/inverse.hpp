@@ -7,6 +7,7 @@
 // `BackProjection` (back_projection.hpp) applies them to whole cameras, with checks.
 #pragma once
 
+#include <array>
 #include <cmath>
 #include <type_traits>
 
@@ -20,6 +21,43 @@ template <typename Jet>
 auto value_of(const Jet& x) -> decltype(x.a) {
   return x.a;
 }
+
+/// Magnification m, which is negative, of the point whose ideal image lies at the distance r from
+/// the axis, as a function of r^2.
+template <typename T>
+class Magnification {
+ public:
+  /// Creates the magnification m of all points at one distance from the lens.
+  explicit Magnification(const T& value) : terms_{value, T(0.0), T(1.0), T(0.0)} {}
+  /// Creates the magnification of the points that the lens images to z, mm. By `main_lens_image`,
+  /// with m (Z - F) = -F for a point at Z, z = m F - F + (kappa - kappa_m m) r^2.
+  static Magnification of_images_at(const T& z, const MainLens<T>& lens) {
+    return Magnification(std::array<T, 4>{z + lens.focal_length, lens.field_curvature,
+                                          lens.focal_length, lens.field_curvature_growth});
+  }
+
+  T operator()(const T& r2) const {
+    return (terms_[0] - terms_[1] * r2) / (terms_[2] - terms_[3] * r2);
+  }
+  /// Returns the derivative by r^2.
+  T slope(const T& r2) const {
+    const T& value = (*this)(r2);
+    return (terms_[3] * value - terms_[1]) / (terms_[2] - terms_[3] * r2);
+  }
+  /// Returns the magnification without derivatives.
+  Magnification<double> value() const {
+    std::array<double, 4> values;
+    for (std::size_t i = 0; i < values.size(); ++i) values[i] = value_of(terms_[i]);
+    return Magnification<double>(values);
+  }
+
+ private:
+  template <typename>
+  friend class Magnification;
+  explicit Magnification(const std::array<T, 4>& terms) : terms_(terms) {}
+
+  std::array<T, 4> terms_;
+};
 
 /// Derivative of (x, y) -> (x, y) + `distortion`, which is symmetric.
 template <typename T>
@@ -39,12 +77,15 @@ struct DistortionSlope {
 
 /// Returns the `DistortionSlope` at the ideal image point (x, y), mm.
 template <typename T>
-DistortionSlope<T> distortion_slope(const MainLens<T>& lens, const T& x, const T& y) {
+DistortionSlope<T> distortion_slope(const MainLens<T>& lens, const Magnification<T>& magnification,
+                                    const T& x, const T& y) {
   const T* q = lens.radial;
   const T* t = lens.tangential;
   const T r2 = x * x + y * y;
-  const T radial = 1.0 + r2 * (q[0] + r2 * (q[1] + r2 * q[2]));
-  const T slope = 2.0 * (q[0] + r2 * (2.0 * q[1] + r2 * (3.0 * q[2])));
+  const T first = q[0] - lens.radial_growth * magnification(r2);
+  const T by_magnification = lens.radial_growth * r2 * magnification.slope(r2);
+  const T radial = 1.0 + r2 * (first + r2 * (q[1] + r2 * q[2]));
+  const T slope = 2.0 * (first - by_magnification + r2 * (2.0 * q[1] + r2 * (3.0 * q[2])));
   return {radial + x * x * slope + 6.0 * t[0] * x + 2.0 * t[1] * y,
           x * y * slope + 2.0 * (t[0] * y + t[1] * x),
           radial + y * y * slope + 6.0 * t[1] * y + 2.0 * t[0] * x};
@@ -63,26 +104,30 @@ Part<double> values_of(const Part<T>& part) {
 /// frame. Returns no value if there is none on the axis's side of the fold, where polynomials turn
 /// back.
 template <typename T>
-std::optional<Vector2<T>> undistort(const MainLens<T>& lens, const Vector2<T>& distorted) {
+std::optional<Vector2<T>> undistort(const MainLens<T>& lens, const Magnification<T>& magnification,
+                                    const Vector2<T>& distorted) {
   constexpr int kMaxSteps = 50;
   constexpr double kSettled = 1e-15;   // step over the distance from the axis
   constexpr double kRounding = 1e-12;  // likewise, for a step that is not smaller than the last
   const MainLens<double> at = values_of(lens);
+  const Magnification<double> magnified = magnification.value();
   const Vector2<double> target{value_of(distorted.x), value_of(distorted.y)};
+  const auto slope_at = [&](double x, double y) { return distortion_slope(at, magnified, x, y); };
   // Newton's method. A step that would leave the axis's side of the fold is halved.
   Vector2<double> p = target;
-  for (int i = 0; i < kMaxSteps && !distortion_slope(at, p.x, p.y).is_regular(); ++i) {
+  for (int i = 0; i < kMaxSteps && !slope_at(p.x, p.y).is_regular(); ++i) {
     p = {0.5 * p.x, 0.5 * p.y};
   }
   double last = HUGE_VAL;
   bool settled = false;
   for (int i = 0; i < kMaxSteps && !settled; ++i) {
-    const Vector2<double> shift = distortion(at, p.x, p.y);
+    const double m = magnified(p.x * p.x + p.y * p.y);
+    const Vector2<double> shift = distortion(at, m, p.x, p.y);
     Vector2<double> step =
-        distortion_slope(at, p.x, p.y).undo({target.x - p.x - shift.x, target.y - p.y - shift.y});
+        slope_at(p.x, p.y).undo({target.x - p.x - shift.x, target.y - p.y - shift.y});
     double length = std::hypot(step.x, step.y);
     for (int k = 0; k < kMaxSteps; ++k) {
-      if (distortion_slope(at, p.x + step.x, p.y + step.y).is_regular()) break;
+      if (slope_at(p.x + step.x, p.y + step.y).is_regular()) break;
       step = {0.5 * step.x, 0.5 * step.y};
       length = HUGE_VAL;
     }
@@ -92,12 +137,12 @@ std::optional<Vector2<T>> undistort(const MainLens<T>& lens, const Vector2<T>& d
               length == 0.0;
     last = length;
   }
-  if (!settled || !distortion_slope(at, p.x, p.y).is_regular()) return std::nullopt;
+  if (!settled || !slope_at(p.x, p.y).is_regular()) return std::nullopt;
   // One more step in T gives the derivatives of the solution.
   const T x(p.x), y(p.y);
-  const Vector2<T> shift = distortion(lens, x, y);
-  const Vector2<T> step =
-      distortion_slope(lens, x, y).undo({distorted.x - x - shift.x, distorted.y - y - shift.y});
+  const Vector2<T> shift = distortion(lens, magnification(x * x + y * y), x, y);
+  const Vector2<T> step = distortion_slope(lens, magnification, x, y)
+                              .undo({distorted.x - x - shift.x, distorted.y - y - shift.y});
   return Vector2<T>{x + step.x, y + step.y};
 }
 
@@ -106,12 +151,10 @@ std::optional<Vector2<T>> undistort(const MainLens<T>& lens, const Vector2<T>& d
 /// or if distortion has no inverse there.
 template <typename T>
 std::optional<Vector3<T>> object_point(const MainLens<T>& lens, const Vector3<T>& image) {
-  const std::optional<Vector2<T>> ideal = undistort(lens, {image.x, image.y});
+  const auto magnifications = Magnification<T>::of_images_at(image.z, lens);
+  const std::optional<Vector2<T>> ideal = undistort(lens, magnifications, {image.x, image.y});
   if (!ideal) return std::nullopt;
-  // With the magnification m and z = F - F/m, p'_z = m z + (kappa - kappa_m m) r^2.
-  const T r2 = ideal->x * ideal->x + ideal->y * ideal->y;
-  const T magnification = (image.z + lens.focal_length - lens.field_curvature * r2) /
-                          (lens.focal_length - lens.field_curvature_growth * r2);
+  const T magnification = magnifications(ideal->x * ideal->x + ideal->y * ideal->y);
   if (!(magnification < 0.0)) return std::nullopt;
   return Vector3<T>{ideal->x / magnification, ideal->y / magnification,
                     lens.focal_length - lens.focal_length / magnification};
@@ -202,11 +245,12 @@ std::optional<Ray<T>> object_ray(const Optics<T>& optics, const MicroLens& micro
   const T depth_on_axis = (magnification * z - center.z) / line.z;
   const T bulge = (lens.field_curvature - lens.field_curvature_growth * magnification) / line.z;
   T x = center.x + depth_on_axis * line.x, y = center.y + depth_on_axis * line.y;
-  DistortionSlope<T> distorts = distortion_slope(lens, x, y);
+  const Magnification<T> magnifications(magnification);
+  DistortionSlope<T> distorts = distortion_slope(lens, magnifications, x, y);
   bool settled = false;
   for (int i = 0; i < kMaxSteps; ++i) {
     const T depth = depth_on_axis + bulge * (x * x + y * y);
-    const Vector2<T> shift = distortion(lens, x, y);
+    const Vector2<T> shift = distortion(lens, magnification, x, y);
     const T off_x = center.x + depth * line.x - x - shift.x;
     const T off_y = center.y + depth * line.y - y - shift.y;
     const T by_x = 2.0 * bulge * x, by_y = 2.0 * bulge * y;
@@ -217,7 +261,7 @@ std::optional<Ray<T>> object_ray(const Optics<T>& optics, const MicroLens& micro
     const T step_y = (xx * off_y - yx * off_x) * inverse;
     x = x + step_x;
     y = y + step_y;
-    distorts = distortion_slope(lens, x, y);
+    distorts = distortion_slope(lens, magnifications, x, y);
     // The round after the last step gives the derivatives of the solution.
     if (settled) break;
     const double size = std::abs(value_of(x)) + std::abs(value_of(y)) +
@@ -228,13 +272,19 @@ std::optional<Ray<T>> object_ray(const Optics<T>& optics, const MicroLens& micro
     if (std::is_same<T, double>::value && settled) break;
   }
   if (!settled || !distorts.is_regular()) return std::nullopt;
-  // Derivatives of the image and its magnification along the line.
+  // Derivatives of the image and its magnification along the line: the ideal image moves with the
+  // line and, since distortion changes, with the magnification.
   const Vector2<T> ideal{x, y};
-  const Vector2<T> slide = distorts.undo({line.x, line.y});
-  const T r2 = x * x + y * y, r2_slope = 2.0 * (x * slide.x + y * slide.y);
-  const T slope = (line.z - lens.field_curvature * r2_slope +
-                   lens.field_curvature_growth * r2_slope * magnification) /
-                  (lens.focal_length - lens.field_curvature_growth * r2);
+  const T r2 = x * x + y * y;
+  const T growth = lens.radial_growth * r2;
+  const Vector2<T> by_line = distorts.undo({line.x, line.y});
+  const Vector2<T> by_magnification = distorts.undo({growth * x, growth * y});
+  const T curvature = lens.field_curvature - lens.field_curvature_growth * magnification;
+  const T slope = (line.z - curvature * 2.0 * (x * by_line.x + y * by_line.y)) /
+                  (lens.focal_length - lens.field_curvature_growth * r2 +
+                   curvature * 2.0 * (x * by_magnification.x + y * by_magnification.y));
+  const Vector2<T> slide{by_line.x + slope * by_magnification.x,
+                         by_line.y + slope * by_magnification.y};
   // The point is (x, y)/m and z = F - F/m; these are its derivatives by the depth.
   const T inverse = 1.0 / magnification;
   const T by_slope = slope * inverse;

@@ -117,13 +117,15 @@ class Motion {
 };
 
 /// Returns the displacement of the ideal image point (x, y) by distortion, all in mm in the camera
-/// frame (Brown-Conrady; paper, section 2.1).
+/// frame (Brown-Conrady; paper, section 2.1). At the magnification m, which is negative, the first
+/// order of the radial distortion is Q1 + Q1_m |m|.
 template <typename T>
-Vector2<T> distortion(const MainLens<T>& lens, const T& x, const T& y) {
+Vector2<T> distortion(const MainLens<T>& lens, const T& magnification, const T& x, const T& y) {
   const T* q = lens.radial;
   const T* t = lens.tangential;
   const T r2 = x * x + y * y;
-  const T radial = r2 * (q[0] + r2 * (q[1] + r2 * q[2]));
+  const T first = q[0] - lens.radial_growth * magnification;
+  const T radial = r2 * (first + r2 * (q[1] + r2 * q[2]));
   const T xy = 2.0 * x * y;
   return {x * radial + t[0] * (r2 + 2.0 * x * x) + t[1] * xy,
           y * radial + t[1] * (r2 + 2.0 * y * y) + t[0] * xy};
@@ -139,7 +141,7 @@ std::optional<Vector3<T>> main_lens_image(const MainLens<T>& lens, const Vector3
   const T magnification = -lens.focal_length / beyond_focus;
   const T x = magnification * point.x;
   const T y = magnification * point.y;
-  const Vector2<T> shift = distortion(lens, x, y);
+  const Vector2<T> shift = distortion(lens, magnification, x, y);
   const T curvature = lens.field_curvature - lens.field_curvature_growth * magnification;
   return Vector3<T>{x + shift.x, y + shift.y,
                     magnification * point.z + curvature * (x * x + y * y)};

@@ -49,10 +49,10 @@ void require_known_fields(const Field& root) {
                      "principal_point_px", "micro_lens_array", "point_spread_px2", "point_spread",
                      "depth_from_blur", "uncertainty"});
   root["sensor"].require_keys({"width_px", "height_px", "pixel_size_mm"});
-  root["main_lens"].require_keys({"focal_length_mm", "q1_per_mm2", "q2_per_mm4", "q3_per_mm6",
-                                  "p1_per_mm", "p2_per_mm", "field_curvature_per_mm",
-                                  "field_curvature_growth_per_mm", "exit_pupil_mm",
-                                  "pupil_aberration_per_mm", "f_number", "focus_distance_mm"});
+  root["main_lens"].require_keys(
+      {"focal_length_mm", "q1_per_mm2", "q2_per_mm4", "q3_per_mm6", "q1_growth_per_mm2",
+       "p1_per_mm", "p2_per_mm", "field_curvature_per_mm", "field_curvature_growth_per_mm",
+       "exit_pupil_mm", "pupil_aberration_per_mm", "f_number", "focus_distance_mm"});
   root["micro_lens_array"].require_keys({"lattice", "columns", "rows", "shifted", "lens_to_mla_mm",
                                          "mla_to_sensor_mm", "rotation_rad", "offset_mm",
                                          "pitch_mm", "pitch_ratio", "focal_lengths_mm",
@@ -66,8 +66,8 @@ void require_distances(const Field& boards) {
   }
 }
 
-// Adds fields that older files do not have: exit pupil, its aberration, and field curvature, which
-// are 0 there.
+// Adds fields that older files do not have, which are 0 there: exit pupil, its aberration, field
+// curvature, and the growth of distortion.
 void complete(Json* json) {
   const auto lens = json->find("main_lens");
   if (lens == json->end() || !lens->is_object()) return;
@@ -76,6 +76,7 @@ void complete(Json* json) {
   };
   add("exit_pupil_mm", {0.0, 0.0, 0.0});
   add("pupil_aberration_per_mm", 0.0);
+  add("q1_growth_per_mm2", 0.0);
   add("field_curvature_per_mm", 0.0);
   add("field_curvature_growth_per_mm", 0.0);
 }
