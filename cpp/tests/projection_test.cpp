@@ -152,8 +152,16 @@ TEST(Projection, DistortionMovesTheImageOfTheMainLens) {
   //    = -0.3014988375 - 0.00126 + 0.00108 = -0.3016788375
   // The micro-lens in the middle halves them.
   Camera camera = simple_camera();
-  camera.main_lens = {50.0, {0.01, 0.002, 0.001}, {0.003, -0.002}, 0.0, 0.0};
+  camera.main_lens = {50.0, {0.01, 0.002, 0.001}, 0.0, {0.003, -0.002}, 0.0, 0.0};
   expect_feature(seen(camera, at_distance(300), {3, 1.5, 0}, 2, 2), 130.01038375, 95.083941875, 0);
+}
+
+TEST(Projection, DistortionGrowsWithTheMagnification) {
+  // |m| = 0.2, so that the first order is 0.05 * 0.2 and the radial part 0.01 * 0.45 = 0.0045:
+  // p' = (-0.6, -0.3) moves to (-0.6027, -0.30135). The micro-lens in the middle halves them.
+  Camera camera = simple_camera();
+  camera.main_lens.radial_growth = 0.05;
+  expect_feature(seen(camera, at_distance(300), {3, 1.5, 0}, 2, 2), 130.135, 95.0675, 0);
 }
 
 TEST(Projection, BlurUsesTheGeometricMeanOfTwoPitches) {

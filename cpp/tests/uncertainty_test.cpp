@@ -115,7 +115,8 @@ Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options)
         {{lattice.node(o.k, o.l), o.observed, 1.0 / options.centers_std_dev}}, s, {});
     problem.AddResidualBlock(cost.release(), nullptr, pupil.data(), array.data());
   }
-  problem.SetManifold(lens.data(), new ceres::SubsetManifold(8, {6, 7}));  // a flat field
+  problem.SetManifold(lens.data(),
+                      new ceres::SubsetManifold(9, {4, 7, 8}));  // no growth, a flat field
   problem.SetManifold(array.data(), new ceres::SubsetManifold(11, {10}));  // dC_ratio fixed
   problem.SetParameterBlockConstant(pupil.data());
 

@@ -32,7 +32,7 @@ pub fn check_camera(
     Ok(checks::centers(rms_px, shift_px.into(), grid.pitch_px)
         .into_iter()
         .chain(checks::lens_types(&white_images_px, &camera_px))
-        .chain(fit_checks::slope(slope))
+        .chain(fit_checks::slope(slope, 0.0))
         .chain(f_numbers.and_then(|[camera, boards]| checks::f_number(camera, boards)))
         .collect())
 }

@@ -75,7 +75,10 @@ pub(super) fn findings(
 fn of_white_images(calibration: &Calibration) -> Option<Finding> {
     let told = |finding: &Finding| matches!(&finding.issue, Issue::PriorContradicted { quantity, .. } if quantity == SLOPE);
     let error = calibration.m_error()?;
-    if calibration.findings.iter().any(told) { None } else { checks::slope(error) }
+    if calibration.findings.iter().any(told) {
+        return None;
+    }
+    checks::slope(error, calibration.m_std_dev())
 }
 
 fn of_residuals(calibration: &Calibration, patterns: &Patterns) -> Vec<Finding> {

@@ -569,6 +569,7 @@ impl CalibrationOptions {
             board: BoardModel::Known(shape),
             exit_pupil: ExitPupil::Estimated,
             field_curvature: FieldCurvature::Estimated,
+            distortion: Distortion::Estimated,
             priors: Priors { default: self.priors.default, ..Priors::default() },
             ..self.clone()
         }

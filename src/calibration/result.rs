@@ -2,7 +2,7 @@
 
 use crate::calibration::{BlurMeasurement, BoardResult, CalibrationOptions, LeftOut, PriorResult};
 use crate::finding::Finding;
-use crate::model::{FramePose, PlenopticCamera, Reprojection, optics};
+use crate::model::{FramePose, Parameter, PlenopticCamera, Reprojection, optics};
 use crate::precalibration::MicroImageArray;
 use crate::solver::{CostOptions, Refinement, Uncertainty};
 
@@ -56,5 +56,32 @@ impl Calibration {
     pub fn m_error(&self) -> Option<f64> {
         let of_camera = optics::internal_parameters(&self.camera).m_mm;
         self.m_mm.map(|m| (of_camera - m) / of_camera)
+    }
+
+    /// Returns the relative standard deviation of m* = d(F + e_z)/2(D + e_z); infinite if a parameter is not determined.
+    #[must_use]
+    pub fn m_std_dev(&self) -> f64 {
+        let (camera, uncertainty) = (&self.camera, &self.uncertainty);
+        let lens_to_pupil = camera.main_lens.exit_pupil_mm.z;
+        let by_focal_length = 1.0 / (camera.main_lens.focal_length_mm + lens_to_pupil);
+        let by_distance = -1.0 / camera.pupil_to_mla_mm();
+        let names = Parameter::intrinsic(camera.lens_types());
+        let gradient = uncertainty.free_intrinsics.iter().map(|&index| match names.get(index) {
+            Some(Parameter::FocalLength) => by_focal_length,
+            Some(Parameter::LensToArray) => by_distance,
+            Some(Parameter::PupilZ) => by_focal_length + by_distance,
+            Some(Parameter::ArrayToSensor) => 1.0 / camera.mla.mla_to_sensor_mm,
+            _ => 0.0,
+        });
+        let gradient: Vec<f64> = gradient.collect();
+        let is_known = |row: usize| gradient[row] == 0.0 || uncertainty.determined[row];
+        if !(0..gradient.len()).all(is_known) {
+            return f64::INFINITY;
+        }
+        let covariance = &uncertainty.covariance;
+        let terms = gradient.iter().enumerate().flat_map(|(i, a)| {
+            gradient.iter().enumerate().map(move |(j, b)| a * b * covariance[(i, j)])
+        });
+        terms.filter(|term| *term != 0.0).sum::<f64>().max(0.0).sqrt()
     }
 }

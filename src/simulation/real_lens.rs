@@ -34,8 +34,12 @@ pub struct LensFigures {
     pub field_curvature_per_mm: f64,
     /// Growth κ_m of the field curvature with |M|, 1/mm.
     pub field_curvature_growth_per_mm: f64,
-    /// Radial distortion Q₁ close to the axis, mm⁻².
+    /// Radial distortion Q₁ + Q₁ₘ|M| close to the axis, mm⁻².
     pub q1_per_mm2: f64,
+    /// Growth Q₁ₘ of the radial distortion with |M|, mm⁻².
+    pub q1_growth_per_mm2: f64,
+    /// Spherical aberration e_r of the exit pupil seen from the plane of the image, mm⁻¹.
+    pub pupil_aberration_per_mm: f64,
 }
 
 /// One surface, as a ray from the sensor meets it.
@@ -267,10 +271,15 @@ impl RealLens {
         let curvature = |object_mm: f64| -> Option<f64> {
             Some((image(height, object_mm)?.z - image(0.0, object_mm)?.z) / height.powi(2))
         };
+        let distortion = |object_mm: f64| -> Option<f64> {
+            Some((image(height, object_mm)?.x / height - 1.0) / height.powi(2))
+        };
         let further_mm = object_mm * FIGURES_FURTHER;
         let [near, far] = [curvature(object_mm)?, curvature(further_mm)?];
+        let [q1, q1_far] = [distortion(object_mm)?, distortion(further_mm)?];
         let less = magnification(further_mm) - magnification(object_mm);
-        let off = image(height, object_mm)?;
+        let on_array = Point3::new(height, 0.0, magnification(object_mm) * object_mm);
+        let crossing = on_array.z - height / self.chief_slope(&on_array)?.x;
         Some(LensFigures {
             focal_length_mm: self.focal_length,
             object_side_principal_mm: self.object_side,
@@ -280,7 +289,9 @@ impl RealLens {
             object_mm,
             field_curvature_per_mm: near,
             field_curvature_growth_per_mm: (near - far) / less,
-            q1_per_mm2: (off.x / height - 1.0) / height.powi(2),
+            q1_per_mm2: q1,
+            q1_growth_per_mm2: (q1 - q1_far) / less,
+            pupil_aberration_per_mm: (crossing - self.exit_pupil.z) / height.powi(2),
         })
     }
 

@@ -8,6 +8,7 @@ use super::imaging::Imaging;
 use super::imperfections::Imperfections;
 use super::main_lens::check_camera;
 use super::prescription::Prescription;
+use super::real_lens::LensFigures;
 use super::target::Target;
 use super::tracer::{Tracer, check_rays};
 use crate::error::{Error, Result};
@@ -226,6 +227,13 @@ impl Settings {
     pub fn tracer(&self, f_number: f64) -> Result<Tracer> {
         let lens = self.prescription.as_ref();
         Tracer::with_lens(&self.camera, lens, f_number, &self.imperfections, self.seed)
+    }
+
+    /// Returns the paraxial figures of a real lens for boards at their mean distance; `None` for a thin lens.
+    pub fn lens_figures(&self) -> Result<Option<LensFigures>> {
+        let [near, far] = self.boards.depth_mm;
+        let tracer = self.tracer(self.board_f_number())?;
+        Ok(tracer.lens.figures(f64::midpoint(near, far)))
     }
 }
 

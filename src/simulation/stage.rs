@@ -75,7 +75,7 @@ pub fn simulate(
     let _span = tracing::info_span!("simulation").entered();
     let data_set = DataSet::plan(settings, poses)?;
     let tracer = settings.tracer(settings.board_f_number())?;
-    let truth = truth(settings, &data_set, &tracer);
+    let truth = truth(settings, &data_set, &tracer)?;
     let observed = observed(settings, &truth)?;
     for (content, shot) in data_set.contents() {
         progress.image(content);
@@ -84,8 +84,7 @@ pub fn simulate(
     Ok(Simulated { data_set, truth, observed })
 }
 
-fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Truth {
-    let [near, far] = settings.boards.depth_mm;
+fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Result<Truth> {
     let features = data_set.subsets.each_ref().map(|boards| {
         let of_board = |(pose, _): &(FramePose, Shot)| {
             tracer.features(pose.frame, &settings.target, &pose.camera_from_board)
@@ -100,13 +99,13 @@ fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Truth {
         aperture_ratio: internal.aperture_ratio,
         point_spread_px2: Some(Estimate::exact(variance_px2)),
     };
-    Truth {
+    Ok(Truth {
         camera: PlenopticCamera { edge_spread, ..settings.camera.clone() },
-        main_lens: tracer.lens.figures(f64::midpoint(near, far)),
+        main_lens: settings.lens_figures()?,
         internal,
         centers: tracer.centers(),
         features,
-    }
+    })
 }
 
 fn observed(settings: &Settings, truth: &Truth) -> Result<Observations> {

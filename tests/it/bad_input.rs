@@ -332,7 +332,10 @@ fn centres_of_a_single_row_are_rejected() {
 fn a_diverging_refinement_is_an_error() {
     Spoiled::new()
         .replace("project.toml", "square_mm = 3.0", "square_mm = 300.0")
-        .is_rejected_with(&["--priors", "none", "--blur", "features", "--fix", "D"], &["fit"]);
+        .is_rejected_with(
+            &["--priors", "none", "--blur", "features", "--fix", "D,Q1_m,e_r"],
+            &["fit"],
+        );
 }
 
 #[test]
