@@ -100,6 +100,7 @@
 //! |---|---|---|---|
 //! | F | `focal_length_mm` | mm | focal length of the main lens |
 //! | Q₁ Q₂ Q₃, P₁ P₂ | `radial`, `tangential` | mm⁻², mm⁻⁴, mm⁻⁶; mm⁻¹ | Brown-Conrady distortion of the image point |
+//! | Q₁ₘ | `q1_growth_per_mm2` | mm⁻² | growth of the distortion with the magnification (not in the paper) |
 //! | κ | `field_curvature_per_mm` | mm⁻¹ | curvature of the field (not in the paper) |
 //! | κ_m | `field_curvature_growth_per_mm` | mm⁻¹ | derivative of the curvature by the magnification (not in the paper) |
 //! | P = (e_x, e_y, e_z) | `exit_pupil_mm` | mm | centre of the exit pupil (at 0 in the paper) |

@@ -415,7 +415,7 @@ priors.default = false
 
 impl CalibrationOptions {
     /// Returns the options for the calibration of the paper: every observation has the same weight, no loss, no priors,
-    /// the exit pupil in the lens, a flat field, f from ρ, a flat board.
+    /// the exit pupil in the lens, constant distortion, a flat field, f from ρ, a flat board.
     // The text is constant.
     #[allow(clippy::missing_panics_doc)]
     #[must_use]

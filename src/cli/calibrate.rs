@@ -108,7 +108,7 @@ pub struct Arguments {
 }
 
 /// Arguments that an exported problem replaces.
-const IN_PROBLEM: [&str; 24] = [
+const IN_PROBLEM: [&str; 25] = [
     "project",
     "params",
     "scene",
@@ -122,6 +122,7 @@ const IN_PROBLEM: [&str; 24] = [
     "mode",
     "pitches",
     "exit_pupil",
+    "distortion",
     "field_curvature",
     "board",
     "fix",
@@ -287,10 +288,10 @@ pub(super) fn stage_results(
         })?;
         let lens = &calibration.camera.main_lens;
         let has_pupil = lens.exit_pupil_mm.norm() > 0.0 || lens.pupil_aberration_per_mm != 0.0;
-        if has_pupil || lens.has_curved_field() {
-            say("warning: COMPOTE's files have no exit pupil and no field curvature, so \
-                 intrinsics.js describes another camera: calibrate with --exit-pupil at-lens \
-                 --field-curvature flat");
+        if has_pupil || lens.has_curved_field() || lens.q1_growth_per_mm2 != 0.0 {
+            say("warning: COMPOTE's files have no exit pupil, no field curvature and the same \
+                 distortion at all distances, so intrinsics.js describes another camera: calibrate \
+                 with --exit-pupil at-lens --field-curvature flat --distortion constant");
         }
         let folder = Path::new("compote");
         let intrinsics = compote::intrinsics_document(&calibration.camera, grid)?;
