@@ -14,6 +14,8 @@ const LENSES: [&str; 7] =
     ["double-gauss", "telephoto", "retrofocus", "petzval", "triplet", "tessar", "near-telecentric"];
 /// Places of the optical axis from the middle of the sensor, px.
 const PLACES: [[f64; 2]; 4] = [[0.0, 0.0], [15.0, -20.0], [150.0, 0.0], [0.0, 150.0]];
+/// Focal length of the prescriptions, mm.
+const LENS_FOCAL_LENGTH_MM: f64 = 100.0;
 const SEED: u64 = 9301;
 /// Parameters that a traced lens has too, apart from the columns of the table.
 const OTHERS: [&str; 9] = ["D", "P1", "P2", "e_z", "theta_x", "theta_y", "theta_z", "t_x", "t_y"];
@@ -74,6 +76,55 @@ pub fn errors(extent: &Extent) -> Result<Vec<String>> {
         SEED + count - 1
     );
     Ok(vec![table.with(&coverage)])
+}
+
+/// Decentre of the last element, mm, and the seed of the first decentred lens.
+const DECENTRE_MM: f64 = 0.02;
+const DECENTRED_SEED: u64 = SEED + 50;
+
+/// Calibrates cameras with a decentred element, along x.
+pub fn decentred(extent: &Extent) -> Result<Vec<String>> {
+    let mut table = Table::new(&["lens", "P₁, 10⁻³ mm⁻¹", "P₂, 10⁻³ mm⁻¹", "F", "d", "distances"]);
+    let lenses = LENSES.into_iter().take(extent.or_few(LENSES.len(), 1));
+    for (seed, lens) in (DECENTRED_SEED..).zip(lenses) {
+        step(&format!("{lens}, decentred, seed {seed}"));
+        let replaced = [format!("seed={seed}"), "rays=16".to_owned()];
+        let mut settings = Settings::preset(&format!("mini-{lens}"), &replaced)?;
+        let in_prescription =
+            DECENTRE_MM * LENS_FOCAL_LENGTH_MM / settings.camera.main_lens.focal_length_mm;
+        for surface in
+            settings.prescription.iter_mut().flat_map(|lens| lens.surfaces.iter_mut().rev().take(2))
+        {
+            surface.decentre_mm = [in_prescription, 0.0];
+        }
+        let camera = Calibrated::of(settings, &CalibrationOptions::default())?;
+        let errors = camera.errors(&camera.calibration)?;
+        let evaluation = camera.evaluation(&[&camera.calibration], 0)?;
+        let reconstruction = evaluation.candidates[0].reconstruction.as_ref();
+        let of = |name: &str| {
+            let error = error_of(&errors, name);
+            let std_dev = error.std_dev.unwrap_or(f64::NAN);
+            format!("{} ± {}", signed(error.estimate * 1e3, 3), fixed(std_dev * 1e3, 3))
+        };
+        let relative = |name: &str| {
+            let error = error_of(&errors, name);
+            over_sigma(
+                &percent(error.error() / error.truth, 2),
+                error.error(),
+                error.std_dev.unwrap_or(f64::NAN),
+            )
+        };
+        table.row([
+            lens.replace('-', " "),
+            of("P1"),
+            of("P2"),
+            relative("F"),
+            relative("d"),
+            reconstruction.map_or("-".to_owned(), |found| percent(found.too_long.value, 2)),
+        ]);
+    }
+    let paragraph = format!("Seeds {DECENTRED_SEED} and following, row by row.");
+    Ok(vec![table.with(&paragraph)])
 }
 
 /// Formats e_r and Q₁ₘ with σ, and with their paraxial values.

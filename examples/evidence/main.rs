@@ -88,6 +88,7 @@ fn parts() -> Vec<Part> {
         part!("accuracy/aperture-ratio", "3 min", aperture::by_detection),
         part!("accuracy/cameras", "1 h", aperture::cameras),
         part!("accuracy/lenses", "15 min", lenses::errors),
+        part!("accuracy/decentred-lenses", "4 min", lenses::decentred),
         part!("accuracy/board", "5 min", programs::board),
         part!("accuracy/standard-deviations", "5 min", programs::standard_deviations),
         part!("performance/commands", "4 min", commands::times),

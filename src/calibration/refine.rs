@@ -73,7 +73,8 @@ impl Settings<'_> {
         let plain = |cost: &CostOptions| {
             let mut plain = cost.clone();
             plain.loss.kind = LossKind::None;
-            plain.fixed.extend(names(&SMALL_TERMS));
+            let is_unknown = |name: &String| cost.priors.iter().all(|p| p.quantity != *name);
+            plain.fixed.extend(names(&SMALL_TERMS).into_iter().filter(is_unknown));
             plain
         };
         let is_far = self.known_weight.is_none();

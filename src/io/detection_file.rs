@@ -98,3 +98,30 @@ pub fn read_axis_beside(features: &Path) -> Result<Option<Vector2<f64>>> {
         .map_err(|error| error.in_file(&path))?;
     Ok(file.aberration.map(|aberration| aberration.axis_px.into()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_axis_is_read_from_the_file_beside_the_features() {
+        let folder = tempfile::tempdir().unwrap();
+        let axis = |content: &str| {
+            std::fs::write(folder.path().join("detection.json"), content).unwrap();
+            read_axis_beside(&folder.path().join("features.csv")).map_err(|e| e.to_string())
+        };
+        let none = read_axis_beside(&folder.path().join("features.csv"));
+        assert_eq!(none.unwrap(), None);
+        let document = |aberration: &str| {
+            format!(r#"{{"format": "{FORMAT}", "version": 1, "aberration": {aberration}}}"#)
+        };
+        let found = axis(&document(r#"{"axis_px": [510.5, 370.0]}"#));
+        assert_eq!(found, Ok(Some(Vector2::new(510.5, 370.0))));
+        assert_eq!(axis(&document("null")), Ok(None));
+        assert_eq!(axis(r#"{"format": "boxes"}"#), Ok(None));
+        let error = axis(&document(r#"{"axis_px": "middle"}"#)).unwrap_err();
+        assert!(error.contains("detection.json") && error.contains("axis_px"), "{error}");
+        let newer = document("null").replace("\"version\": 1", "\"version\": 9");
+        assert!(axis(&newer).unwrap_err().contains("version 9"));
+    }
+}

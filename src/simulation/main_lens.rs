@@ -54,9 +54,9 @@ impl Lens {
     }
 
     /// Returns the figures of a real lens for objects at a distance; `None` for a thin lens.
-    pub fn figures(&self, object_mm: f64) -> Option<LensFigures> {
+    pub fn figures(&self, object_mm: f64, lens_to_mla_mm: f64) -> Option<LensFigures> {
         let Optics::Real(real) = &self.optics else { return None };
-        real.figures(object_mm)
+        real.figures(object_mm, lens_to_mla_mm)
     }
 
     /// Returns the z that all micro-lenses must stay behind.

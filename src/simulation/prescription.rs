@@ -34,9 +34,16 @@ pub struct Surface {
     pub index: f64,
     /// Half the diameter of the opening, mm; for the stop, with the lens fully open.
     pub semi_diameter_mm: f64,
+    /// Place of the vertex off the optical axis, along x and y of the camera frame, mm: an error of the mount.
+    #[serde(default, skip_serializing_if = "is_centred")]
+    pub decentre_mm: [f64; 2],
     /// True for the stop, which is a plane within one medium.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stop: bool,
+}
+
+fn is_centred(decentre_mm: &[f64; 2]) -> bool {
+    *decentre_mm == [0.0; 2]
 }
 
 fn flat() -> f64 {
@@ -79,7 +86,7 @@ impl Prescription {
     }
 
     /// Reads a prescription from the text of its file: `surfaces`, each with `radius_mm`, `thickness_mm`, `index`,
-    /// `semi_diameter_mm`, or `stop = true`.
+    /// `semi_diameter_mm`, `decentre_mm`, or `stop = true`.
     pub fn from_toml(text: &str) -> Result<Self> {
         let prescription: Self = toml::from_str(text)
             .map_err(|e| Error::invalid(format!("not a valid prescription of a lens: {e}")))?;
@@ -130,6 +137,12 @@ impl Prescription {
             return Err(Error::invalid(format!(
                 "a sphere of radius {} mm cannot have a semi-diameter of {} mm",
                 surface.radius_mm, surface.semi_diameter_mm
+            )));
+        }
+        if !surface.decentre_mm.iter().all(|x| x.abs() < surface.semi_diameter_mm) {
+            let [x, y] = surface.decentre_mm;
+            return Err(Error::invalid(format!(
+                "its vertex is ({x}, {y}) mm off the axis (decentre_mm), more than its semi-diameter"
             )));
         }
         if !(0.0..f64::INFINITY).contains(&surface.thickness_mm) {

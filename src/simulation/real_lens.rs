@@ -38,7 +38,7 @@ pub struct LensFigures {
     pub q1_per_mm2: f64,
     /// Growth Q₁ₘ of the radial distortion with |M|, mm⁻².
     pub q1_growth_per_mm2: f64,
-    /// Spherical aberration e_r of the exit pupil seen from the plane of the image, mm⁻¹.
+    /// Spherical aberration e_r of the exit pupil seen from the array, mm⁻¹.
     pub pupil_aberration_per_mm: f64,
 }
 
@@ -47,6 +47,8 @@ pub struct LensFigures {
 struct Interface {
     /// z of the vertex, camera frame, mm.
     z: f64,
+    /// Vertex off the optical axis, mm.
+    vertex: Vector2<f64>,
     /// Curvature, 1/mm: positive if the centre lies towards the scene.
     curvature: f64,
     /// Refractive index on the sensor side over that on the scene side.
@@ -116,6 +118,7 @@ impl RealLens {
             let opening = if i == stop { stop_radius } else { surface.semi_diameter_mm * scale };
             interfaces.push(Interface {
                 z: paraxial.z_mm(behind_first, focal_length),
+                vertex: Vector2::from(surface.decentre_mm) * scale,
                 curvature: -1.0 / (surface.radius_mm * scale),
                 ratio: surface.index / prescription.index_before(i),
                 opening2: opening * opening,
@@ -160,14 +163,14 @@ impl RealLens {
             let k = surface.curvature;
             // The point where the ray meets the plane of the vertex, from the vertex.
             let start = at + towards * ((surface.z - at.z) / towards.z);
-            let start = start.xy();
+            let start = start.xy() - surface.vertex;
             let towards_center = towards.z - k * start.dot(&towards.xy());
             let square = start.norm_squared();
             if surface.is_stop {
                 if CLEAR && square > surface.opening2 {
                     return None;
                 }
-                at = start.push(surface.z);
+                at = (start + surface.vertex).push(surface.z);
                 continue;
             }
             let cos2 = towards_center * towards_center - k * k * square;
@@ -185,7 +188,7 @@ impl RealLens {
                 return None;
             }
             towards = towards * surface.ratio + normal * (inside2.sqrt() - surface.ratio * cos);
-            at = Vector3::new(hit.x, hit.y, hit.z + surface.z);
+            at = hit + surface.vertex.push(surface.z);
         }
         Some(Inner { at, towards })
     }
@@ -261,8 +264,8 @@ impl RealLens {
         self.image_from(point, &ideal, &self.exit_pupil)
     }
 
-    /// Computes the figures of the lens for objects at a distance.
-    pub fn figures(&self, object_mm: f64) -> Option<LensFigures> {
+    /// Computes the figures of the lens for objects at a distance, and an array at a distance.
+    pub fn figures(&self, object_mm: f64, lens_to_mla_mm: f64) -> Option<LensFigures> {
         let height = FIGURES_HEIGHT * self.focal_length;
         let magnification = |object_mm: f64| self.focal_length / (self.focal_length - object_mm);
         let image = |height: f64, object_mm: f64| {
@@ -278,7 +281,7 @@ impl RealLens {
         let [near, far] = [curvature(object_mm)?, curvature(further_mm)?];
         let [q1, q1_far] = [distortion(object_mm)?, distortion(further_mm)?];
         let less = magnification(further_mm) - magnification(object_mm);
-        let on_array = Point3::new(height, 0.0, magnification(object_mm) * object_mm);
+        let on_array = Point3::new(height, 0.0, -lens_to_mla_mm);
         let crossing = on_array.z - height / self.chief_slope(&on_array)?.x;
         Some(LensFigures {
             focal_length_mm: self.focal_length,

@@ -233,7 +233,7 @@ impl Settings {
     pub fn lens_figures(&self) -> Result<Option<LensFigures>> {
         let [near, far] = self.boards.depth_mm;
         let tracer = self.tracer(self.board_f_number())?;
-        Ok(tracer.lens.figures(f64::midpoint(near, far)))
+        Ok(tracer.lens.figures(f64::midpoint(near, far), self.camera.mla.lens_to_mla_mm))
     }
 }
 

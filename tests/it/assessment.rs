@@ -41,9 +41,12 @@ fn texts(assessment: &Assessment) -> Vec<String> {
 #[test]
 fn a_good_calibration_is_called_good() {
     for seed in 1..4 {
-        let (_, assessment) = assessed(&observations(seed));
+        let (calibration, assessment) = assessed(&observations(seed));
         assert_eq!(assessment.verdict, Verdict::Good, "{:?}", texts(&assessment));
         assert!(assessment.outliers.features.is_empty() && assessment.outliers.frames.is_empty());
+        let (error, std_dev) = (calibration.m_error().unwrap(), calibration.m_std_dev());
+        println!("m {error:.4} ± {std_dev:.4}");
+        assert!(error.abs() < 3.0 * std_dev && std_dev < 0.02, "{error} ± {std_dev}");
     }
 }
 

@@ -1,8 +1,9 @@
 //! What real main lenses have and the paper's does not: an exit pupil off the lens, a curved field, light that
 //! falls off by a law of its own.
 
-use nalgebra::Vector3;
-use plenocal::calibration::{CalibrationOptions, ExitPupil, Start, calibrate};
+use nalgebra::{Vector2, Vector3};
+use plenocal::Estimate;
+use plenocal::calibration::{CalibrationOptions, ExitPupil, Start, calibrate, initial_from};
 use plenocal::io::{camera_document, read_camera};
 use plenocal::model::{Noise, Parameter, PlenopticCamera, optics};
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
@@ -12,8 +13,8 @@ use predicates::str::contains;
 use tempfile::TempDir;
 
 use crate::support::{
-    NO_NOISE, datasheet_start, defaults, drawn, no_priors, options, pairs, plenocal, preset, run,
-    synthetic_folder, true_camera,
+    NO_NOISE, board, datasheet_start, defaults, drawn, no_priors, options, pairs, plenocal, preset,
+    run, synthetic_folder, true_camera,
 };
 
 /// As in the recovery tests.
@@ -53,6 +54,43 @@ fn without_noise_exit_pupil_and_field_curvature_are_recovered() {
             );
         }
     }
+}
+
+/// The centroids of clipped micro-images are not the images of the pupil's centre.
+#[test]
+fn small_terms_are_held_if_the_lens_vignettes() {
+    let truth = true_camera();
+    let observations = drawn(&truth, &Noise { uv_px: 0.1, rho_px: 0.02, centers_px: 0.05 }, 5);
+    let small = |options: &CalibrationOptions, narrower: f64| {
+        let Start::Datasheet(sheet, mut internal) = start(&truth) else { unreachable!() };
+        internal.vignetting = Some(Estimate { value: narrower, std_dev: 1e-3 });
+        let lens = run(&Start::Datasheet(sheet, internal), &observations, options).camera.main_lens;
+        [lens.q1_growth_per_mm2, lens.pupil_aberration_per_mm].map(|term| term != 0.0)
+    };
+    assert_eq!(small(&defaults(), 0.01), [true, true]);
+    assert_eq!(small(&defaults(), 0.05), [false, false]);
+    let mut stated = defaults();
+    stated.priors.state("e_r", 0.0, 0.01);
+    assert_eq!(small(&stated, 0.05), [false, true]);
+}
+
+#[test]
+fn a_calibration_starts_with_the_axis_of_the_detection() {
+    let (start, observations) = (start(&true_camera()), drawn(&true_camera(), &NO_NOISE, 0));
+    let initial = |axis_px: Option<Vector2<f64>>| {
+        let options = CalibrationOptions { axis_px, ..free() };
+        initial_from(&start, &board(), &observations, &options).unwrap()
+    };
+    let axis_px = Vector2::new(620.0, 300.0);
+    let (middle, axis) = (initial(None), initial(Some(axis_px)));
+    assert_eq!(axis.mla.principal_point_px, axis_px);
+    // The micro-images do not move.
+    let shift = axis.mla.offset_mm - middle.mla.offset_mm;
+    let of_axis = (axis_px - middle.mla.principal_point_px) * axis.sensor.pixel_size_mm;
+    assert!((shift - of_axis).norm() < 0.03 * of_axis.norm(), "{shift} for {of_axis}");
+    let far = CalibrationOptions { axis_px: Some(Vector2::new(1e5, 0.0)), ..free() };
+    let error = calibrate(&start, &board(), &observations, &far, &mut |_| true).unwrap_err();
+    assert!(error.to_string().contains("detection.json) is at (100000, 0) px"), "{error}");
 }
 
 #[test]
