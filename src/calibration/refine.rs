@@ -8,7 +8,7 @@ use crate::calibration::checks::check_refined;
 use crate::calibration::frames::{Frames, reconsidered_poses};
 use crate::calibration::options::SMALL_TERMS;
 use crate::error::Result;
-use crate::model::BentBoard;
+use crate::model::{BentBoard, Parameter};
 use crate::solver::{
     self, CostOptions, Iteration, LossKind, Problem, Refinement, SolverOptions, SystematicError,
     Termination, Uncertainty, names,
@@ -24,6 +24,8 @@ const ROUGH_ITERATIONS: usize = 12;
 const ALIKE: f64 = 2.0;
 /// Limit of refinements; the first half of them is rough.
 const MAX_ATTEMPTS: usize = 6;
+/// The principal point, whose start is good to some ten pixels.
+const PRINCIPAL_POINT: [Parameter; 2] = [Parameter::PrincipalPointU, Parameter::PrincipalPointV];
 /// Initial weight of the priors, typical of real observations.
 const FIRST_WEIGHT: f64 = 10.0;
 /// Weight of the priors where residuals vanish, as in simulations without noise.
@@ -69,12 +71,14 @@ impl Settings<'_> {
             cost.prior_weight = stated.or(self.known_weight).unwrap_or(FIRST_WEIGHT);
         }
         // Far from the minimum nearly all residuals are in the flat part of a loss. Without a loss the solver takes a
-        // fifth of the steps. Small terms would take up large residuals of other origin.
+        // fifth of the steps. Small terms would take up large residuals of other origin, and the principal point would move far
+        // along a flat valley.
         let plain = |cost: &CostOptions| {
             let mut plain = cost.clone();
             plain.loss.kind = LossKind::None;
-            let is_unknown = |name: &String| cost.priors.iter().all(|p| p.quantity != *name);
-            plain.fixed.extend(names(&SMALL_TERMS).into_iter().filter(is_unknown));
+            let held = names(&[&SMALL_TERMS[..], &PRINCIPAL_POINT].concat());
+            plain.priors.retain(|prior| !held.contains(&prior.quantity));
+            plain.fixed.extend(held);
             plain
         };
         let is_far = self.known_weight.is_none();
