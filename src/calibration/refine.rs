@@ -10,8 +10,8 @@ use crate::calibration::options::SMALL_TERMS;
 use crate::error::Result;
 use crate::model::{BentBoard, Parameter};
 use crate::solver::{
-    self, CostOptions, Iteration, LossKind, Problem, Refinement, SolverOptions, SystematicError,
-    Termination, Uncertainty, names,
+    self, CostOptions, Iteration, Loss, LossKind, Problem, Refinement, SolverOptions,
+    SystematicError, Termination, Uncertainty, names,
 };
 
 /// Limit of repetitions: the correction of one mirrored board may reveal others.
@@ -71,15 +71,10 @@ impl Settings<'_> {
             cost.prior_weight = stated.or(self.known_weight).unwrap_or(FIRST_WEIGHT);
         }
         // Far from the minimum nearly all residuals are in the flat part of a loss. Without a loss the solver takes a
-        // fifth of the steps. Small terms would take up large residuals of other origin, and the principal point would move far
-        // along a flat valley.
-        let plain = |cost: &CostOptions| {
-            let mut plain = cost.clone();
-            plain.loss.kind = LossKind::None;
-            let held = names(&[&SMALL_TERMS[..], &PRINCIPAL_POINT].concat());
-            plain.priors.retain(|prior| !held.contains(&prior.quantity));
-            plain.fixed.extend(held);
-            plain
+        // fifth of the steps.
+        let plain = |cost: &CostOptions| CostOptions {
+            loss: Loss { kind: LossKind::None, ..cost.loss },
+            ..cost.clone()
         };
         let is_far = self.known_weight.is_none();
         let mut rough = is_far && (!cost.priors.is_empty() || cost.loss.kind != LossKind::None);
@@ -91,7 +86,11 @@ impl Settings<'_> {
             let left = self.left(so_far.as_ref());
             let used = if rough { plain(&cost) } else { cost.clone() };
             let limit = if rough { ROUGH_ITERATIONS.min(left) } else { left };
-            let next = refine(&start, self, &used, limit, rough, progress)?;
+            let next = if rough {
+                refine(&start, self, &with_held(&used), limit, rough, progress)?
+            } else {
+                refine(&start, self, &used, limit, rough, progress)?
+            };
             let stopped = next.termination == Termination::Stopped;
             let refinement = followed(so_far.take(), next);
             let refined = at_end(problem, Some(&refinement));
@@ -143,6 +142,16 @@ impl Settings<'_> {
         let done = so_far.map_or(0, |refinement| refinement.iterations.len().saturating_sub(1));
         self.options.max_iterations.saturating_sub(done)
     }
+}
+
+/// Returns the cost of a rough refinement. Small terms would take up large residuals of other origin, and the principal point
+/// would move far along a flat valley.
+fn with_held(cost: &CostOptions) -> CostOptions {
+    let held = names(&[&SMALL_TERMS[..], &PRINCIPAL_POINT].concat());
+    let mut rough = cost.clone();
+    rough.priors.retain(|prior| !held.contains(&prior.quantity));
+    rough.fixed.extend(held);
+    rough
 }
 
 fn followed(so_far: Option<Refinement>, next: Refinement) -> Refinement {
