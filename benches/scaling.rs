@@ -188,7 +188,8 @@ fn main() -> plenocal::Result<()> {
     for count in [1_000, 10_000, 100_000, 1_000_000] {
         let step = (all.features.len() / count).max(1);
         let features: Vec<BapFeature> = all.features.iter().step_by(step).copied().collect();
-        let some = Observations { features, centers: all.centers.clone() };
+        let some =
+            Observations { features, centers: all.centers.clone(), ..Observations::default() };
         let features = some.features.len();
         rows.push(row(&features.to_string(), features as f64, &settings, &some)?);
     }

@@ -106,6 +106,8 @@ fn poses() -> Vec<FramePose> {
 fn rounded(observations: Observations) -> Observations {
     let round = |x: f64| (x * 1e4).round() / 1e4;
     Observations {
+        axis_px: None,
+        shifted_frames: observations.shifted_frames,
         centers: observations
             .centers
             .into_iter()

@@ -481,6 +481,10 @@ issues! {
     SeveralPlaces "several-places" { corners: usize, elsewhere: usize } =>
         format!("{corners} corners match more than one part of the board ({elsewhere} match another part)"),
         "show more of the board or its edges, or correct its size";
+    /// In some frames the board fills the view.
+    ShiftedNumbers "shifted-numbers" { frames: Vec<u32> } =>
+        format!("the board fills the view (frames {}): its corners are numbered up to a shift by whole squares, which the camera does not depend on, but the poses of these frames do", list(frames)),
+        NONE;
     /// Too few of the corners in view were found.
     TooFewInView "too-few-in-view" { found: usize, in_view: usize } =>
         format!("only {found} of the {in_view} corners in view were found"), NONE;

@@ -53,8 +53,7 @@
 //! let found = find(&boards, Subset::Calibration)?;
 //!
 //! let start = Start::Datasheet(sheet, measured.internal.parameters.clone());
-//! let observations =
-//!     Observations { centers: measured.array.centers.clone(), features: found.features() };
+//! let observations = found.observations(measured.array.centers.clone());
 //! let options = CalibrationOptions::default();
 //! let calibration = calibrate(&start, &board, &observations, &options, &mut |_| true)?;
 //! assert!(calibration.converged);

@@ -128,12 +128,8 @@ impl Calibrated {
         let sheet = Datasheet { array_size: Some((lattice.columns, lattice.rows)), ..shoot.sheet };
         let start = Start::Datasheet(sheet, shoot.measured.internal.parameters.clone());
         let centers = shoot.measured.array.centers.clone();
-        let observations = Observations { centers, features: boards.features() };
-        let options = CalibrationOptions {
-            axis_px: boards.aberration().map(|a| a.axis_px),
-            ..options.clone()
-        };
-        let calibration = calibrate(&start, &shoot.board, &observations, &options, &mut |_| true)?;
+        let observations = boards.observations(centers);
+        let calibration = calibrate(&start, &shoot.board, &observations, options, &mut |_| true)?;
         let converged = calibration.converged;
         Ok(converged.then_some(Self { shoot, boards, start, observations, calibration }))
     }

@@ -81,13 +81,13 @@ pub fn cross_validate(
         let calibration = calibrate(start, board, observations, &without, &mut |_| true)?;
         let Calibration { camera, board: found, converged, .. } = calibration;
         let seen = Observations {
-            centers: Vec::new(),
             features: observations
                 .features
                 .iter()
                 .filter(|f| held_out.contains(&f.frame))
                 .copied()
                 .collect(),
+            ..Observations::default()
         };
         let poses_only = CalibrationOptions {
             exclude_frames: Vec::new(),

@@ -34,7 +34,7 @@ pub fn pose_boards(
     features: &[BapFeature],
 ) -> Result<Posed> {
     let options = CalibrationOptions::default().of_poses_only(bent.shape);
-    let seen = Observations { centers: Vec::new(), features: features.to_vec() };
+    let seen = Observations { features: features.to_vec(), ..Observations::default() };
     let start = Start::Camera(camera.clone());
     let result = calibrate(&start, &bent.board, &seen, &options, &mut |_| true)?;
     let of_fit = fit_checks::fit(&result.camera, &result.reprojection);
@@ -109,7 +109,7 @@ fn cost_with_squares(calibration: &Calibration, scale: f64) -> Option<f64> {
     let board = calibration.board.bent.board;
     let board = Board { square_mm: scale * board.square_mm, ..board };
     let features = calibration.reprojection.features.iter().map(|r| r.feature).collect();
-    let seen = Observations { centers: Vec::new(), features };
+    let seen = Observations { features, ..Observations::default() };
     let farther = |pose: &FramePose| {
         let Isometry3 { rotation, mut translation } = pose.camera_from_board;
         translation.vector *= scale;

@@ -4,7 +4,7 @@ use crate::calibration::numbering::check_numbering;
 use crate::calibration::{CalibrationOptions, LeftOut, Mode, Start};
 use crate::error::{Error, Observed, Result};
 use crate::finding::Issue;
-use crate::model::{BapFeature, Board, Observations, PlenopticCamera};
+use crate::model::{BapFeature, Board, Observations, PlenopticCamera, Sensor};
 use crate::precalibration::MicroImageArray;
 use crate::solver::{self, LossKind, Refinement};
 
@@ -26,7 +26,8 @@ pub(super) fn without_frames(
         features: out.iter().filter(|f| f.frame == frame).count(),
         reason: Issue::Excluded,
     });
-    Ok((Observations { centers: observations.centers.clone(), features: kept }, excluded.collect()))
+    let kept = Observations { features: kept, ..observations.clone() };
+    Ok((kept, excluded.collect()))
 }
 
 /// Smallest scale of a loss. A loss acts where residuals are, and these are not much smaller than 1.
@@ -43,6 +44,7 @@ pub(super) fn check_observations(
     let (_, size) = start.array(&observations.centers);
     let needs_rho = options.has_rho() && start.lens_types() > 0;
     observations.validate(start.sensor(), size, board, needs_rho)?;
+    check_axis(observations, start.sensor())?;
     check_numbering(&observations.features, board)?;
     if observations.features.is_empty() {
         return Err(Error::invalid(if options.exclude_frames.is_empty() {
@@ -64,6 +66,21 @@ pub(super) fn check_observations(
         return Err(Error::NoCenters);
     }
     Ok(())
+}
+
+/// Returns an error if the optical axis of the observations is far outside the image.
+fn check_axis(observations: &Observations, sensor: &Sensor) -> Result<()> {
+    let far_px = f64::from(sensor.width_px) + f64::from(sensor.height_px);
+    let Some(axis) =
+        observations.axis_px.filter(|axis| (axis - sensor.center_px()).norm() > far_px)
+    else {
+        return Ok(());
+    };
+    Err(Error::invalid(format!(
+        "the optical axis (axis_px of detection.json) is at ({:.0}, {:.0}) px, far outside the \
+         image: repeat the detection",
+        axis.x, axis.y
+    )))
 }
 
 /// Returns an error if a feature lies far from the micro-image whose index it has. Centres come from the grid or,

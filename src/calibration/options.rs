@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
-use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
@@ -357,10 +356,6 @@ pub struct CalibrationOptions {
     /// all the work.
     #[arg(skip)]
     pub extrapolate: bool,
-    /// Initial principal point, px, as aberrations in the images show it; otherwise the middle of the sensor.
-    #[arg(skip)]
-    #[serde(skip)]
-    pub axis_px: Option<Vector2<f64>>,
     /// Initial poses of boards; the poses of other frames are found.
     #[arg(skip)]
     #[serde(skip)]
@@ -391,7 +386,6 @@ impl Default for CalibrationOptions {
             max_iterations: solver.max_iterations,
             threads: solver.threads,
             extrapolate: solver.extrapolate,
-            axis_px: None,
             poses: Vec::new(),
         }
     }
@@ -627,15 +621,6 @@ impl CalibrationOptions {
                 "the shape of a bent board (board = \"bent\") is only estimated together with a \
                  camera: give the shape from that calibration",
             ));
-        }
-        let image = start.sensor();
-        let far_px = f64::from(image.width_px) + f64::from(image.height_px);
-        if let Some(axis) = self.axis_px.filter(|axis| (axis - image.center_px()).norm() > far_px) {
-            return Err(Error::invalid(format!(
-                "the optical axis (axis_px of detection.json) is at ({:.0}, {:.0}) px, far outside the \
-                 image: repeat the detection",
-                axis.x, axis.y
-            )));
         }
         let is_fixed = |parameter: &Parameter| self.fix.contains(parameter);
         if self.board == BoardModel::Bent && Parameter::SHAPE.iter().all(is_fixed) {

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::Vector2;
+
 use crate::calibration::aperture_ratio::{with_aperture_ratio, with_that_of_start};
 use crate::calibration::checks::{check_indices, check_observations, without_frames};
 use crate::calibration::focus::refocused;
@@ -65,7 +67,7 @@ pub(super) fn prepared(
     let initial = checked_start(&start, grid.as_ref(), &observations, options)?;
     let refocused = refocused(&start, &initial, board, &observations.features, options);
     let (start, misfocused) = refocused.unwrap_or((start, None));
-    let initial = start_camera(&start, grid.as_ref(), options)?;
+    let initial = start_camera(&start, grid.as_ref(), observations.axis_px, options)?;
     observations.features = with_that_of_start(observations.features, &start, &initial.lattice);
     Ok(Prepared { start, initial, grid, blur, misfocused, observations, excluded, cost: None })
 }
@@ -127,9 +129,9 @@ pub fn initial_from(
     let grid = fitted_grid(start, observations)?;
     let blur = BlurMeasurement::of(start, grid.as_ref(), &observations.features)?;
     let start = with_aperture_ratio(start.clone(), grid.as_ref(), blur.as_ref());
-    let initial = start_camera(&start, grid.as_ref(), options)?;
+    let initial = start_camera(&start, grid.as_ref(), observations.axis_px, options)?;
     match refocused(&start, &initial, board, &observations.features, options) {
-        Some((start, _)) => start_camera(&start, grid.as_ref(), options),
+        Some((start, _)) => start_camera(&start, grid.as_ref(), observations.axis_px, options),
         None => Ok(initial),
     }
 }
@@ -145,7 +147,7 @@ fn checked_start(
     if let (Some(grid), Start::Datasheet(sheet, internal)) = (grid, start) {
         check_stated_pitch(sheet, internal, grid)?;
     }
-    let initial = start_camera(start, grid, options)?;
+    let initial = start_camera(start, grid, observations.axis_px, options)?;
     check_indices(&initial, grid, observations)?;
     Ok(initial)
 }
@@ -159,11 +161,12 @@ fn fitted_grid(start: &Start, observations: &Observations) -> Result<Option<Micr
 fn start_camera(
     start: &Start,
     grid: Option<&MicroImageArray>,
+    axis_px: Option<Vector2<f64>>,
     options: &CalibrationOptions,
 ) -> Result<PlenopticCamera> {
     let mut camera = match (start, grid) {
         (Start::Datasheet(datasheet, internal), Some(grid)) => {
-            let axis_px = options.axis_px.unwrap_or(datasheet.sensor.center_px());
+            let axis_px = axis_px.unwrap_or(datasheet.sensor.center_px());
             let exit_pupil_mm = options.exit_pupil_mm().unwrap_or(0.0);
             initial_camera(datasheet, internal, grid, exit_pupil_mm, axis_px)?
         }

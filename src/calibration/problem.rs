@@ -106,6 +106,7 @@ impl SolvedProblem {
         Observations {
             features: self.features.iter().map(feature).collect(),
             centers: self.centers.clone(),
+            ..Observations::default()
         }
     }
 

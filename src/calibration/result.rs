@@ -1,5 +1,7 @@
 //! The result of a calibration.
 
+use std::collections::BTreeSet;
+
 use crate::calibration::{BlurMeasurement, BoardResult, CalibrationOptions, LeftOut, PriorResult};
 use crate::finding::Finding;
 use crate::model::{FramePose, Parameter, PlenopticCamera, Reprojection, optics};
@@ -19,6 +21,8 @@ pub struct Calibration {
     pub board: BoardResult,
     /// The poses of the frames used, by frame number.
     pub poses: Vec<FramePose>,
+    /// Frames whose corners are numbered up to a shift by whole squares, and whose poses contain the shift.
+    pub shifted_frames: BTreeSet<u32>,
     /// Initial poses of these frames.
     pub initial_poses: Vec<FramePose>,
     /// The frames left out.

@@ -157,6 +157,7 @@ fn completed(
         left_out: frames.left_out,
         grid,
         initial_centers_rmse_px: initial_centers_rmse(&initial, &observations)?,
+        shifted_frames: observations.shifted_frames,
         initial,
         refinement,
         reprojection,

@@ -148,6 +148,8 @@ pub struct Options {
     pub pictures: bool,
     /// True if no progress bar is shown.
     pub quiet: bool,
+    /// True if frames whose corners are numbered up to a shift are left out, since poses depend on the shift.
+    pub for_poses: bool,
 }
 
 /// Photographs by frame.
@@ -240,7 +242,10 @@ pub fn detect_subset(
     };
     let found = detect(&boards, &white, &search, options.subset, &draw);
     bar.finish();
-    let found = found.map_err(|e| e.in_file(path))?;
+    let mut found = found.map_err(|e| e.in_file(path))?;
+    if options.for_poses {
+        found = found.without_shifted_frames();
+    }
     let features = found.features();
     if features.is_empty() {
         return Err(Error::invalid(format!(

@@ -281,7 +281,7 @@ pub(super) fn stage_results(
     with_compote: bool,
 ) -> Result<()> {
     let uncertainty = Some(&calibration.uncertainty);
-    let poses = io::poses_document(&calibration.poses, uncertainty);
+    let poses = io::poses_document(&calibration.poses, uncertainty, &calibration.shifted_frames);
     if with_compote {
         let grid = calibration.grid.as_ref().ok_or_else(|| {
             Error::invalid("COMPOTE's intrinsics.js needs the micro-image centres")

@@ -72,6 +72,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         estimator: arguments.estimator,
         pictures: !arguments.no_pictures,
         quiet: arguments.json,
+        for_poses: false,
     };
     let (found, _) = boards::detect_subset(path, &shoot, &micro_images, options, &mut output)?;
     tell(&found.findings);

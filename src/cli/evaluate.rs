@@ -162,6 +162,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
             estimator: arguments.estimator,
             pictures: false,
             quiet: arguments.json,
+            for_poses: false,
         };
         let mut of_subset = OutputFolder::new(&arguments.out.join(subset.name()))?;
         let (found, _) =

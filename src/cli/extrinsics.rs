@@ -8,7 +8,7 @@ use plenocal::assessment::{assess, check_camera};
 use plenocal::calibration::{CalibrationOptions, Start, calibrate};
 use plenocal::detection::DepthEstimator;
 use plenocal::io::{self, OutputFolder, Project};
-use plenocal::model::{Observations, Subset};
+use plenocal::model::Subset;
 use plenocal::{Result, report};
 
 use super::boards::{self, Options, Shoot};
@@ -78,9 +78,10 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         estimator: arguments.estimator,
         pictures: false,
         quiet: arguments.json,
+        for_poses: true,
     };
     let (found, _) = boards::detect_subset(path, &shoot, &micro_images, search, &mut output)?;
-    let observations = Observations { centers: Vec::new(), features: found.features() };
+    let observations = found.observations(Vec::new());
     announce_calibration(&observations.features);
     let options = CalibrationOptions::default().of_poses_only(shape);
     let result =

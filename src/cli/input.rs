@@ -50,7 +50,6 @@ impl Input {
         }
         let rho = options.has_rho() && options.mode != Mode::CornersOnly && start.lens_types() > 0;
         let (observations, sources) = observations(files, project, rho)?;
-        options.axis_px = io::read_axis_beside(&sources[0])?;
         announce_calibration(&observations.features);
         Ok(Self { start, board, observations, options, sources })
     }

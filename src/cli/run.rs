@@ -18,7 +18,7 @@ use plenocal::io::{
     self, FolderLock, ImagesSection, MANIFEST, Manifest, OutputFolder, Project, StageRecord,
     first_look,
 };
-use plenocal::model::{Datasheet, Observations, Subset};
+use plenocal::model::{Datasheet, FramePose, Observations, Subset};
 use plenocal::precalibration::{Precalibration, PrecalibrationOptions};
 use plenocal::report::{
     Cell, Certified, Column, Figure, Part, Photograph, Question, Report, Section, Table,
@@ -223,7 +223,6 @@ impl<'a> Run<'a> {
         }
 
         let observed = self.observed(&measured, &found);
-        self.options.axis_px = found.aberration().map(|aberration| aberration.axis_px);
         let options = self.options.clone();
         let (calibration, assessment) =
             self.stage(CALIBRATION, |run, output| run.calibration(&observed, &options, output))?;
@@ -322,6 +321,7 @@ impl<'a> Run<'a> {
             estimator: self.arguments.estimator,
             pictures: !self.arguments.no_pictures,
             quiet: self.arguments.json,
+            for_poses: false,
         };
         let path = &self.arguments.project;
         let (found, photographs) =
@@ -343,10 +343,7 @@ impl<'a> Run<'a> {
         };
         Observed {
             start: Start::Datasheet(sheet, internal),
-            observations: Observations {
-                centers: measured.array.centers.clone(),
-                features: found.features(),
-            },
+            observations: found.observations(measured.array.centers.clone()),
         }
     }
 
@@ -457,7 +454,11 @@ impl<'a> Run<'a> {
             input.true_board = truth.board.as_deref().map(io::read_true_board).transpose()?;
             input.evaluation_poses = poses(&truth.evaluation_poses)?;
             if let Some(truth) = poses(&truth.calibration_poses)? {
-                let (name, found) = ("calibration".to_owned(), calibrations[0].poses.clone());
+                // The true numbers of the corners of the others are not known.
+                let is_known =
+                    |pose: &FramePose| !observations.shifted_frames.contains(&pose.frame);
+                let found = calibrations[0].poses.iter().copied().filter(is_known).collect();
+                let name = "calibration".to_owned();
                 input.poses.push(PosePairs { name, truth, found });
             }
         }

@@ -33,6 +33,8 @@ pub(super) struct LabelledBoard {
     pub corners: Vec<Option<i32>>,
     /// Homography from (column, row, 1) of a corner to its pinhole image, px.
     pub homography: Matrix3<f64>,
+    /// Number of points that match another part of the board, if they do: labels are known up to a shift by whole squares.
+    pub elsewhere: Option<usize>,
 }
 
 /// Largest number of corners of a board, and largest number of points, with clutter, over the number of corners.
@@ -68,9 +70,11 @@ pub fn check_board_size(board: &Board) -> Result<(), Error> {
 }
 
 impl LabelledBoard {
-    /// Labels points with the corners of a board. Returns an error if they show no board, or could be several parts of it.
+    /// Labels points with the corners of a board. Returns an error if they show no board, or if corners are missing and the rest
+    /// could be several parts of it.
     ///
     /// Corners out of view may be missing, so a board that is cut by the border of the image is recognised by its other sides.
+    /// If none of these tells, labels are in the middle of the board.
     /// Colours of the squares count if they are known; the square before corner 0 is dark. If the board, or its visible part,
     /// is the same when turned, the placement is taken whose rows run most to the right. If rows run up and down or diagonally,
     /// it is the placement with corner 0 on top.
@@ -91,12 +95,12 @@ impl LabelledBoard {
         let mut placements: Vec<Placement> =
             lattices(&places, board).iter().flat_map(|nodes| view.placements(nodes)).collect();
         placements.sort_by(|a, b| b.score.total_cmp(&a.score));
-        let best = best_of(&placements, board)?;
+        let (best, elsewhere) = best_of(&placements, board)?;
         let (found, in_view) = (best.labelled(), best.labelled() + best.missing);
         if (found as f64) < FOUND * in_view as f64 || found < FEWEST {
             return Err(Issue::TooFewInView { found, in_view });
         }
-        let labelled = view.completed(best);
+        let labelled = Self { elsewhere, ..view.completed(best) };
         let beyond = view.beyond(&labelled);
         if beyond >= BEYOND {
             let (columns, rows) = (board.columns, board.rows);
@@ -132,8 +136,12 @@ fn size_in_reach(board: &Board) -> Result<usize, Issue> {
     Err(Issue::BoardSize { columns, rows, fewest: FEWEST, most: MOST_CORNERS })
 }
 
-/// Returns the best of some placements, which are in the order of their scores, highest first.
-fn best_of<'a>(placements: &'a [Placement], board: &Board) -> Result<&'a Placement, Issue> {
+/// Returns the best of some placements, which are in the order of their scores, highest first, and the number of points at
+/// another one that is as good.
+fn best_of<'a>(
+    placements: &'a [Placement],
+    board: &Board,
+) -> Result<(&'a Placement, Option<usize>), Issue> {
     let best = placements.first().ok_or(Issue::NoLattice)?;
     let limit = best.score - ALIKE * f64::from(board.corners());
     // Among equally good placements, those whose rows run most to the right have to be at one position.
@@ -143,13 +151,21 @@ fn best_of<'a>(placements: &'a [Placement], board: &Board) -> Result<&'a Placeme
     let best = towards().next().unwrap_or(best);
     if let Some(other) = towards().find(|p| !p.covers(best)) {
         let (corners, elsewhere) = (best.labelled(), other.labelled());
-        return Err(Issue::SeveralPlaces { corners, elsewhere });
+        // The board continues out of view; otherwise corners in view would be missing.
+        if best.missing as f64 > best.score - limit {
+            return Err(Issue::SeveralPlaces { corners, elsewhere });
+        }
+        let as_good = towards().filter(|p| p.score >= best.score);
+        let central = as_good
+            .min_by(|a, b| a.off_middle(board).total_cmp(&b.off_middle(board)))
+            .unwrap_or(best);
+        return Ok((central, Some(elsewhere)));
     }
     // The remaining placements differ by turns only.
     let top = |p: &&Placement| p.outline[0].y;
     let best = towards().min_by(|a, b| top(a).total_cmp(&top(b))).unwrap_or(best);
     // Another placement at this position may label more corners of the board.
-    Ok(towards().find(|p| p.is_at(best)).unwrap_or(best))
+    Ok((towards().find(|p| p.is_at(best)).unwrap_or(best), None))
 }
 
 fn coordinates(board: &Board, corner: i32) -> Vector2<f64> {
@@ -388,7 +404,8 @@ impl View<'_> {
         for (corner, i) in by_corner {
             corners[i] = Some(corner);
         }
-        LabelledBoard { corners, homography: homography(&pairs).unwrap_or(placement.homography) }
+        let homography = homography(&pairs).unwrap_or(placement.homography);
+        LabelledBoard { corners, homography, elsewhere: None }
     }
 }
 
@@ -396,6 +413,14 @@ impl Placement {
     /// Returns the number of points that are corners.
     pub fn labelled(&self) -> usize {
         self.corners.iter().flatten().count()
+    }
+
+    /// Returns the distance of the mean of the labels from the middle of the board, in squares.
+    pub fn off_middle(&self, board: &Board) -> f64 {
+        let sum: Vector2<f64> =
+            self.corners.iter().flatten().map(|&corner| coordinates(board, corner)).sum();
+        let middle = Vector2::new(f64::from(board.columns - 1), f64::from(board.rows - 1)) / 2.0;
+        (sum / self.labelled().max(1) as f64 - middle).norm()
     }
 
     /// Returns true if the board is at the same position.

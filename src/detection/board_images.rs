@@ -1,13 +1,16 @@
 //! Images of boards, and the results of the detection in them.
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
+
+use nalgebra::Vector2;
 
 use super::flat_field::Likeness;
 use super::{Aberration, Detection, FrameCounts, MicroImages};
 use crate::error::Result;
 use crate::finding::{Finding, Issue};
 use crate::image::RawImage;
-use crate::model::BapFeature;
+use crate::model::{BapFeature, MicroImageCenter, Observations};
 use crate::optics::aberration::AberrationEstimate;
 use crate::quantity::Estimate;
 
@@ -70,6 +73,8 @@ pub struct DetectedBoards {
     pub aperture_ratio: Option<Estimate>,
     /// Aperture ratio that the features are determined with.
     pub fitted_with: f64,
+    /// Optical axis, px, if coma and astigmatism determine it better than the mount of a lens does.
+    pub axis_px: Option<Vector2<f64>>,
     /// Aberrations of the main lens that the features are corrected for.
     pub(super) aberration: AberrationEstimate,
     /// Findings for the user, such as frames left out with the reason, or a doubtful board.
@@ -82,6 +87,33 @@ impl DetectedBoards {
     pub fn features(&self) -> Vec<BapFeature> {
         let found = self.frames.iter().filter_map(|frame| frame.result.as_ref().ok());
         found.flat_map(|detection| detection.features.iter().copied()).collect()
+    }
+
+    /// Returns the observations of a calibration: the features, with these centres of micro-images.
+    #[must_use]
+    pub fn observations(&self, centers: Vec<MicroImageCenter>) -> Observations {
+        Observations {
+            centers,
+            features: self.features(),
+            axis_px: self.axis_px,
+            shifted_frames: self.shifted_frames(),
+        }
+    }
+
+    /// Returns the frames in which the board fills the view, so that its corners are numbered up to a shift by whole squares.
+    #[must_use]
+    pub fn shifted_frames(&self) -> BTreeSet<u32> {
+        let is_shifted = |frame: &&DetectedFrame| {
+            frame.result.as_ref().is_ok_and(|detection| detection.elsewhere.is_some())
+        };
+        self.frames.iter().filter(is_shifted).map(|frame| frame.frame).collect()
+    }
+
+    /// Returns these boards without the frames whose corners are numbered up to a shift, for poses.
+    #[must_use]
+    pub fn without_shifted_frames(mut self) -> Self {
+        leave_out_shifted(&mut self.frames);
+        self
     }
 
     /// Returns the aberrations of the main lens that the features are corrected for, with the optical axis; `None` if they are
@@ -101,5 +133,16 @@ impl DetectedBoards {
             None => micro_images.clone(),
         };
         settled.with_aberration(&self.aberration)
+    }
+}
+
+/// Leaves out frames whose corners are numbered up to a shift: a camera does not depend on the shift, but poses do.
+pub(super) fn leave_out_shifted(frames: &mut [DetectedFrame]) {
+    for frame in frames {
+        let Ok(Detection { corners, elsewhere: Some(elsewhere), .. }) = &frame.result else {
+            continue;
+        };
+        let (corners, elsewhere) = (corners.len(), *elsewhere);
+        frame.result = Err(Issue::SeveralPlaces { corners, elsewhere });
     }
 }

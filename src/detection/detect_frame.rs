@@ -105,7 +105,7 @@ fn of_board(
     let in_view = (0..frame.search.board.corners()).filter(in_view).count();
     let is_sure = counts.off_board as f64 <= OFF_BOARD * counts.corners as f64
         && corners.len() as f64 >= FOUND * in_view as f64;
-    let detection = Detection::new(frame, passed, labelled.homography);
+    let detection = Detection::new(frame, passed, &labelled);
     Ok((detection, is_sure))
 }
 

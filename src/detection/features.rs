@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::aberration_fit::AberrationInformation;
+use super::board::LabelledBoard;
 use super::corner_measurement::CornerMeasurement;
 use super::edge_width::{EdgeWidth, WidthChange};
 use super::frame::Frame;
@@ -35,6 +36,9 @@ pub struct Detection {
     pub corners: Vec<DetectedCorner>,
     /// Homography from (column, row, 1) of a corner to its pinhole image, px.
     pub homography: Matrix3<f64>,
+    /// Number of corners that match another part of the board, if they do: the board fills the view, and the corners are numbered
+    /// up to a shift by whole squares.
+    pub elsewhere: Option<usize>,
     /// Aberrations that positions are corrected for: a main lens without them would show the corners there.
     pub aberration: Aberration,
     /// Sharpness of its edges, if they show it.
@@ -59,12 +63,13 @@ pub struct Edges {
 
 impl Detection {
     /// Creates the detection from the corners that were found, with the aberrations of this frame alone.
-    pub(super) fn new(frame: &Frame, measured: SecondPassed, homography: Matrix3<f64>) -> Self {
+    pub(super) fn new(frame: &Frame, measured: SecondPassed, labelled: &LabelledBoard) -> Self {
         let search = frame.search;
         let mut found = Self {
             features: Vec::new(),
             corners: Vec::new(),
-            homography,
+            homography: labelled.homography,
+            elsewhere: labelled.elsewhere,
             aberration: measured.aberration.aberration,
             edges: None,
             frame: frame.frame,

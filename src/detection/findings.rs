@@ -28,6 +28,11 @@ pub(super) fn findings(frames: &[DetectedFrame], board: &Board, subset: Subset) 
     if found().next().is_none() {
         return findings;
     }
+    let shifted: Vec<u32> =
+        found().filter_map(|(frame, detection)| detection.elsewhere.map(|_| frame.frame)).collect();
+    findings.extend(
+        (!shifted.is_empty()).then(|| Finding::note(Issue::ShiftedNumbers { frames: shifted })),
+    );
     findings.extend(checks::enough(found().count(), subset));
     let widths: Vec<(u32, &str, Estimate)> = found()
         .filter_map(|(frame, detection)| {

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use super::aberration_fit::AberrationInformation;
-use super::board_images::{BoardImage, DetectedBoards, DetectedFrame};
+use super::board_images::{BoardImage, DetectedBoards, DetectedFrame, leave_out_shifted};
 use super::detect_frame::detect_frame;
 use super::edge_width::{EdgeWidth, OfFrames};
 use super::findings::{findings, of_other_boards};
@@ -15,6 +15,8 @@ use crate::image::{Grey, RawImage};
 use crate::model::{MIN_CORNERS, SampleLevels, Sensor, Subset};
 use rayon::prelude::*;
 
+/// Largest standard deviation of an optical axis that is known, over the tolerance of mounts.
+const SURE_AXIS: f64 = 0.25;
 /// Number of frames that [`detect`] has in memory at once.
 pub const AT_ONCE: usize = 4;
 
@@ -23,7 +25,8 @@ pub const AT_ONCE: usize = 4;
 ///
 /// `inspect` is called once for every image, from several threads, with the image if it could be read. Returns an error if the
 /// white image does not have the size of the sensor, or if `inspect` fails. A frame without a board, or that cannot be read, is
-/// left out with a warning.
+/// left out with a warning. In frames of the calibration, the board may fill the view, so that its corners are numbered up to a
+/// shift ([`DetectedBoards::shifted_frames`]); such frames of other subsets are left out.
 pub fn detect<'i>(
     images: &[BoardImage<'i>],
     white: &RawImage,
@@ -78,9 +81,14 @@ pub fn detect<'i>(
             frame.result = Err(Issue::TooFewForPose { corners, fewest: MIN_CORNERS });
         }
     }
+    if subset != Subset::Calibration {
+        leave_out_shifted(&mut frames);
+    }
     let mut findings = findings(&frames, search.board, subset);
     findings.extend(found_ratio.as_ref().and_then(|ratio| of_other_boards(ratio, micro_images)));
-    Ok(DetectedBoards { frames, aperture_ratio: found_ratio, fitted_with, aberration, findings })
+    let axis_px = aberration.axis_within(SURE_AXIS * search.sensor.mount_px());
+    let aperture_ratio = found_ratio;
+    Ok(DetectedBoards { frames, aperture_ratio, fitted_with, axis_px, aberration, findings })
 }
 
 /// Reads an image and searches it.

@@ -242,7 +242,7 @@ pub fn calibration_document(
         "models": null,
         "initial_camera": camera_document(&calibration.initial, None),
         "camera": calibrated_camera_document(calibration, assessment),
-        "poses": poses_document(&calibration.poses, uncertainty)["poses"],
+        "poses": poses_document(&calibration.poses, uncertainty, &calibration.shifted_frames)["poses"],
     })
 }
 

@@ -1,6 +1,6 @@
 //! Simulated data set as a folder: images, project file, truth, and simulated observations.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -132,7 +132,10 @@ fn stage_truth(output: &mut OutputFolder, target: &Target, simulated: &Simulated
     for ((subset, boards), features) in boards.filter(|((_, boards), _)| !boards.is_empty()) {
         let folder = PathBuf::from("truth").join(subset.name());
         let poses: Vec<_> = boards.iter().map(|&(pose, _)| pose).collect();
-        output.stage_json(folder.join("poses.json"), &poses_document(&poses, None))?;
+        output.stage_json(
+            folder.join("poses.json"),
+            &poses_document(&poses, None, &BTreeSet::new()),
+        )?;
         output.stage(folder.join("features.csv"), |out| write_true_features(out, features))?;
     }
     Ok(())

@@ -1,5 +1,6 @@
 //! `detection.json`: features found in each frame, and what was dropped and why.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use nalgebra::Vector2;
@@ -42,6 +43,7 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
             "rejected": frame.result.as_ref().err().map(ToString::to_string),
             "features": frame.result.as_ref().map_or(0, |d| d.features.len()),
             "board_corners": c.board_corners,
+            "shifted": frame.result.as_ref().is_ok_and(|d| d.elsewhere.is_some()),
             "edges": frame.result.as_ref().ok().and_then(|d| d.edges.as_ref()).map(edges),
             "micro_images": { "looked_at": c.looked_at, "unusable": c.unusable },
             "corners": c.corners,
@@ -65,6 +67,7 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
         "aperture_ratio": found.aperture_ratio,
         "fitted_with_aperture_ratio": found.fitted_with,
         "aberration": found.aberration().map(aberration),
+        "axis_px": found.axis_px.map(<[f64; 2]>::from),
         "frames": found.frames.iter().map(of_frame).collect::<Vec<_>>(),
     })
 }
@@ -72,31 +75,43 @@ pub fn detection_document(found: &DetectedBoards, board: &Board) -> Value {
 #[derive(Deserialize)]
 struct DetectionFile {
     #[serde(default)]
-    aberration: Option<AberrationFile>,
+    axis_px: Option<[f64; 2]>,
+    frames: Vec<FrameFile>,
 }
 
 #[derive(Deserialize)]
-struct AberrationFile {
-    axis_px: [f64; 2],
+struct FrameFile {
+    frame: u32,
+    #[serde(default)]
+    shifted: bool,
 }
 
-/// Reads the optical axis from the file `detection.json` beside a features file, px; `None` if there is no such file, if it is of another
-/// program, or if the detection found no aberrations.
-///
-/// Returns an error that names the file if it cannot be read.
-pub fn read_axis_beside(features: &Path) -> Result<Option<Vector2<f64>>> {
-    let path = features.with_file_name("detection.json");
-    if !path.is_file() {
-        return Ok(None);
+/// Content of the file `detection.json` beside a features file that the features do not have.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct Beside {
+    pub axis_px: Option<Vector2<f64>>,
+    pub shifted_frames: BTreeSet<u32>,
+}
+
+impl Beside {
+    /// Reads the file beside a features file. It has no content if there is no file, or if it is of another program.
+    ///
+    /// Returns an error that names the file if it cannot be read.
+    pub fn read(features: &Path) -> Result<Self> {
+        let path = features.with_file_name("detection.json");
+        if !path.is_file() {
+            return Ok(Self::default());
+        }
+        let document = read_json(&path)?;
+        if document.get("format").and_then(Value::as_str) != Some(FORMAT) {
+            return Ok(Self::default());
+        }
+        let file = check_version(&document, FORMAT, VERSION)
+            .and_then(|()| document_of::<DetectionFile>(document, FORMAT))
+            .map_err(|error| error.in_file(&path))?;
+        let shifted = file.frames.iter().filter(|frame| frame.shifted).map(|frame| frame.frame);
+        Ok(Self { axis_px: file.axis_px.map(Vector2::from), shifted_frames: shifted.collect() })
     }
-    let document = read_json(&path)?;
-    if document.get("format").and_then(Value::as_str) != Some(FORMAT) {
-        return Ok(None);
-    }
-    let file = check_version(&document, FORMAT, VERSION)
-        .and_then(|()| document_of::<DetectionFile>(document, FORMAT))
-        .map_err(|error| error.in_file(&path))?;
-    Ok(file.aberration.map(|aberration| aberration.axis_px.into()))
 }
 
 #[cfg(test)]
@@ -104,24 +119,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_axis_is_read_from_the_file_beside_the_features() {
+    fn axis_and_shifted_frames_are_read_from_the_file_beside_the_features() {
         let folder = tempfile::tempdir().unwrap();
-        let axis = |content: &str| {
+        let features = folder.path().join("features.csv");
+        let read = |content: &str| {
             std::fs::write(folder.path().join("detection.json"), content).unwrap();
-            read_axis_beside(&folder.path().join("features.csv")).map_err(|e| e.to_string())
+            Beside::read(&features).map_err(|e| e.to_string())
         };
-        let none = read_axis_beside(&folder.path().join("features.csv"));
-        assert_eq!(none.unwrap(), None);
-        let document = |aberration: &str| {
-            format!(r#"{{"format": "{FORMAT}", "version": 1, "aberration": {aberration}}}"#)
+        assert_eq!(Beside::read(&features).unwrap(), Beside::default());
+        let document = |axis: &str| {
+            format!(
+                r#"{{"format": "{FORMAT}", "version": 1, "axis_px": {axis},
+                    "frames": [{{"frame": 3, "shifted": true}}, {{"frame": 4}}]}}"#
+            )
         };
-        let found = axis(&document(r#"{"axis_px": [510.5, 370.0]}"#));
-        assert_eq!(found, Ok(Some(Vector2::new(510.5, 370.0))));
-        assert_eq!(axis(&document("null")), Ok(None));
-        assert_eq!(axis(r#"{"format": "boxes"}"#), Ok(None));
-        let error = axis(&document(r#"{"axis_px": "middle"}"#)).unwrap_err();
+        let found = read(&document("[510.5, 370.0]")).unwrap();
+        assert_eq!(found.axis_px, Some(Vector2::new(510.5, 370.0)));
+        assert_eq!(found.shifted_frames, BTreeSet::from([3]));
+        assert_eq!(read(&document("null")).unwrap().axis_px, None);
+        assert_eq!(read(r#"{"format": "boxes"}"#), Ok(Beside::default()));
+        let error = read(&document("\"middle\"")).unwrap_err();
         assert!(error.contains("detection.json") && error.contains("axis_px"), "{error}");
         let newer = document("null").replace("\"version\": 1", "\"version\": 9");
-        assert!(axis(&newer).unwrap_err().contains("version 9"));
+        assert!(read(&newer).unwrap_err().contains("version 9"));
     }
 }

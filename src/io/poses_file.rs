@@ -1,6 +1,6 @@
 //! `poses.json`: poses of the boards.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
@@ -34,9 +34,14 @@ struct TransformFile {
 }
 
 /// Returns the content of `poses.json`: `camera_from_board` of every frame as rotation vector (axis times angle), the rotation
-/// also as a matrix (row by row), translation and, if known, their standard deviations.
+/// also as a matrix (row by row), translation and, if known, their standard deviations. Frames whose corners are numbered up to a
+/// shift by whole squares have `shifted`.
 #[must_use]
-pub fn poses_document(poses: &[FramePose], uncertainty: Option<&Uncertainty>) -> Value {
+pub fn poses_document(
+    poses: &[FramePose],
+    uncertainty: Option<&Uncertainty>,
+    shifted_frames: &BTreeSet<u32>,
+) -> Value {
     let pose = |(i, p): (usize, &FramePose)| {
         let rotation = p.camera_from_board.rotation;
         let matrix = rotation.to_rotation_matrix();
@@ -55,6 +60,9 @@ pub fn poses_document(poses: &[FramePose], uncertainty: Option<&Uncertainty>) ->
                 "rotation_vector_rad": [rx, ry, rz],
                 "translation_mm": [tx, ty, tz],
             });
+        }
+        if shifted_frames.contains(&p.frame) {
+            entry["shifted"] = true.into();
         }
         entry
     };

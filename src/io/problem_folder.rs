@@ -136,7 +136,7 @@ fn read_problem_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
 pub fn stage_problem(output: &mut OutputFolder, problem: &SolvedProblem) -> Result<()> {
     output.stage_json(PROBLEM, &problem_document(problem))?;
     output.stage_json("camera.json", &camera_document(&problem.camera, None))?;
-    output.stage_json("poses.json", &poses_document(&problem.poses, None))?;
+    output.stage_json("poses.json", &poses_document(&problem.poses, None, &BTreeSet::new()))?;
     output.stage("features.csv", |out| write_problem_features(out, &problem.features))?;
     output.stage("centers.csv", |out| write_problem_centers(out, &problem.centers))
 }

@@ -2,6 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
+use nalgebra::Vector2;
+
 use crate::error::{Error, Observed, Result};
 use crate::model::{Board, Sensor};
 
@@ -107,6 +109,11 @@ pub struct Observations {
     pub centers: Vec<MicroImageCenter>,
     /// BAP features of all frames.
     pub features: Vec<BapFeature>,
+    /// Optical axis as aberrations in images of boards show it, px: the start of the principal point.
+    pub axis_px: Option<Vector2<f64>>,
+    /// Frames whose corners are numbered up to a shift by whole squares, since the board fills the view. The camera does not depend
+    /// on the shift; poses do.
+    pub shifted_frames: BTreeSet<u32>,
 }
 
 /// Smallest number of board corners that determines a pose.

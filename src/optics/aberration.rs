@@ -122,6 +122,14 @@ impl AberrationEstimate {
     pub fn none(ideal: Aberration) -> Self {
         Self { aberration: ideal, errors: SMatrix::zeros(), by_log_ratio: SVector::zeros() }
     }
+
+    /// Returns the optical axis, px, if its standard deviation along u and v is known and at most `largest_px`.
+    pub fn axis_within(&self, largest_px: f64) -> Option<Vector2<f64>> {
+        let std_devs = [3, 4].map(|row| self.errors.row(row).norm());
+        tracing::debug!("optical axis {:?} ± {std_devs:?} px", self.aberration.axis_px);
+        let is_known = std_devs.iter().all(|std_dev| *std_dev > 0.0 && *std_dev <= largest_px);
+        is_known.then_some(self.aberration.axis_px)
+    }
 }
 
 impl Bend {

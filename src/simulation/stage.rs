@@ -115,5 +115,6 @@ fn observed(settings: &Settings, truth: &Truth) -> Result<Observations> {
     let features = visible.map(|f| source.feature(&f.feature)).collect();
     let alive = truth.centers.iter().filter(|c| c.alive).map(|c| source.center(&c.center));
     let in_image = |c: &MicroImageCenter| settings.camera.sensor.contains(c.u_px, c.v_px);
-    Ok(Observations { centers: alive.filter(in_image).collect(), features })
+    let centers = alive.filter(in_image).collect();
+    Ok(Observations { centers, features, ..Observations::default() })
 }

@@ -73,7 +73,7 @@ pub fn synthesize_bent(
         }
     }
     let centers = centers.iter().map(|center| source.center(center)).collect();
-    Ok(Observations { centers, features })
+    Ok(Observations { centers, features, ..Observations::default() })
 }
 
 fn whole_micro_images(camera: &PlenopticCamera) -> Result<Vec<MicroImageCenter>> {

@@ -241,7 +241,7 @@ pub static CALIBRATED: LazyLock<[Value; 3]> = LazyLock::new(|| {
     let poses: Vec<FramePose> = result.poses.iter().take(3).copied().collect();
     [
         calibrated_camera_document(&result, &assessment),
-        poses_document(&poses, None),
+        poses_document(&poses, None, &std::collections::BTreeSet::new()),
         few_fields(calibration_document(&result, &assessment, 1.0)),
     ]
 });

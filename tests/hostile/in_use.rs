@@ -320,7 +320,7 @@ fn extrinsics(folder: &Folder) -> Result<String> {
     let board = board(folder)?;
     let shape = read_board_shape(&folder.file("calibration.json"), &board)?;
     let features = read_features(&folder.file("features.csv"), false)?.features;
-    let observations = Observations { centers: Vec::new(), features };
+    let observations = Observations { features, ..Observations::default() };
     let options = CalibrationOptions { threads: 1, max_iterations: 3, ..Default::default() }
         .of_poses_only(shape.unwrap_or_default().0);
     let result = calibrate(&Start::Camera(camera), &board, &observations, &options, &mut |_| true)?;

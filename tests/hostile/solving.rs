@@ -41,7 +41,7 @@ static SET: LazyLock<[Vec<u8>; 5]> = LazyLock::new(|| {
     plenocal::io::write_centers(&mut files[1], &centers).expect("memory can be written");
     let text = |document: &serde_json::Value| document.to_string().into_bytes();
     files[2] = text(&camera_document(&corpus::true_camera(), None));
-    files[3] = text(&poses_document(&poses, None));
+    files[3] = text(&poses_document(&poses, None, &std::collections::BTreeSet::new()));
     files[4] = corpus::projects().swap_remove(0);
     files
 });

@@ -6,6 +6,7 @@ use plenocal::assessment::{Group, Posed, Worth, assess, compare_models, pose_boa
 use plenocal::calibration::{
     BoardModel, Calibration, CalibrationOptions, Mode, PriorSource, Start, Trial, calibrate,
 };
+use plenocal::io::poses_document;
 use plenocal::model::{
     BentBoard, Board, BoardShape, FramePose, Noise, NoiseSource, Observations, Parameter,
     PlenopticCamera, optics,
@@ -87,6 +88,46 @@ pub fn scene(seed: u64) -> Scene {
     };
     let poses = (0..frames).map(pose).collect();
     Scene { camera, board, poses }
+}
+
+/// Checks frames of which the board fills the view: their corners are numbered up to a shift.
+#[test]
+fn shifted_numbers_move_poses_and_not_the_camera() {
+    let scene = scene(3);
+    let observations = scene.observed(BoardShape::default(), 3);
+    let larger =
+        Board { columns: scene.board.columns + 2, rows: scene.board.rows + 2, ..scene.board };
+    let calibrated = |shift: &dyn Fn(u32) -> i32| {
+        let mut observations = observations.clone();
+        for feature in &mut observations.features {
+            let (columns, shift) = (scene.board.columns, shift(feature.frame));
+            let (column, row) =
+                (feature.corner % columns + shift, feature.corner / columns + shift);
+            feature.corner = row * larger.columns + column;
+        }
+        let shifted = |frame: &u32| shift(*frame) > 0;
+        observations.shifted_frames = observations.frames().into_iter().filter(shifted).collect();
+        let whole =
+            Scene { board: larger, camera: scene.camera.clone(), poses: scene.poses.clone() };
+        whole.calibrated(&observations, BoardModel::Bent)
+    };
+    let (plain, shifted) = (calibrated(&|_| 0), calibrated(&|frame| i32::from(frame % 3 == 0) * 2));
+    let std_devs = plain.uncertainty.intrinsic_std_devs(3);
+    for ((name, a, b), std_dev) in pairs(&plain.camera, &shifted.camera).iter().zip(std_devs) {
+        assert!((a - b).abs() <= 0.02 * std_dev.unwrap_or(0.0), "{name}: {a} and {b}");
+    }
+    let step = larger.square_mm * 2.0 * 2.0_f64.sqrt();
+    for (a, b) in plain.poses.iter().zip(&shifted.poses) {
+        let off = (a.camera_from_board.translation.vector - b.camera_from_board.translation.vector)
+            .norm();
+        let expected = if a.frame % 3 == 0 { step } else { 0.0 };
+        assert!((off - expected).abs() < 0.01, "frame {}: {off} mm", a.frame);
+    }
+    let document = poses_document(&shifted.poses, None, &shifted.shifted_frames);
+    let is_shifted = |pose: &serde_json::Value| pose["shifted"] == true;
+    let marked =
+        document["poses"].as_array().unwrap().iter().filter(|pose| is_shifted(pose)).count();
+    assert_eq!(marked, shifted.shifted_frames.len());
 }
 
 impl Scene {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use assert_cmd::assert::Assert;
-use plenocal::io::{read_camera, read_features};
+use plenocal::io::{read_camera, read_features, read_poses};
 use plenocal::model::BapFeature;
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
@@ -355,4 +355,47 @@ fn point_spread_and_aperture_ratio_are_measured() {
     let ratio = &detection["aperture_ratio"];
     within(&ratio["value"], &ratio["std_dev"], 0.9);
     within(&detection["fitted_with_aperture_ratio"], &json!(0.005), 0.9);
+}
+
+/// The camera does not depend on which part of the board fills the view. Poses do.
+#[test]
+fn a_board_that_fills_the_view_counts_for_the_camera_only() {
+    let folder = TempDir::new().unwrap();
+    let (set, found) = (folder.path().join("set"), folder.path().join("found"));
+    let settings = [
+        "seed=505",
+        "rays=16",
+        "boards.calibration=3",
+        "boards.evaluation=0",
+        "translation.images=0",
+        "boards.min_in_view=0.4",
+        "boards.max_tilt_deg=25",
+        "target.columns=11",
+        "target.rows=8",
+    ];
+    let mut simulate = plenocal();
+    simulate
+        .arg("simulate")
+        .args(settings.iter().flat_map(|s| ["--set", s]))
+        .arg("--out")
+        .arg(&set);
+    simulate.assert().success();
+    on_project("detect", &set, &found)
+        .success()
+        .stdout(contains("3 of 3 frames"))
+        .stderr(contains("the board fills the view (frames 0, 1)"));
+    let detection: Value =
+        serde_json::from_slice(&fs::read(found.join("detection.json")).unwrap()).unwrap();
+    let frames = detection["frames"].as_array().unwrap();
+    let shifted: Vec<bool> = frames.iter().map(|frame| frame["shifted"] == true).collect();
+    assert_eq!(shifted, [true, true, false]);
+    let observations = read_features(&found.join("features.csv"), true).unwrap();
+    assert_eq!(observations.shifted_frames, BTreeSet::from([0, 1]));
+    let mut poses = plenocal();
+    poses.arg("extrinsics").arg(set.join("project.toml")).arg("--camera");
+    poses.arg(set.join("truth/camera.json")).arg("--precalibration").arg(&found);
+    poses.args(["--subset", "calibration", "--out"]).arg(folder.path().join("poses"));
+    poses.assert().stderr(contains("match more than one part of the board"));
+    let posed = read_poses(&folder.path().join("poses/poses.json")).unwrap();
+    assert_eq!(posed.iter().map(|pose| pose.frame).collect::<Vec<u32>>(), [2]);
 }

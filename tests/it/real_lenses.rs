@@ -5,7 +5,7 @@ use nalgebra::{Vector2, Vector3};
 use plenocal::Estimate;
 use plenocal::calibration::{CalibrationOptions, ExitPupil, Start, calibrate, initial_from};
 use plenocal::io::{camera_document, read_camera};
-use plenocal::model::{Noise, Parameter, PlenopticCamera, optics};
+use plenocal::model::{Noise, Observations, Parameter, PlenopticCamera, optics};
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
 use plenocal::simulation::{DataSet, simulate};
 use plenocal::solver::LossKind;
@@ -78,8 +78,8 @@ fn small_terms_are_held_if_the_lens_vignettes() {
 fn a_calibration_starts_with_the_axis_of_the_detection() {
     let (start, observations) = (start(&true_camera()), drawn(&true_camera(), &NO_NOISE, 0));
     let initial = |axis_px: Option<Vector2<f64>>| {
-        let options = CalibrationOptions { axis_px, ..free() };
-        initial_from(&start, &board(), &observations, &options).unwrap()
+        let observations = Observations { axis_px, ..observations.clone() };
+        initial_from(&start, &board(), &observations, &free()).unwrap()
     };
     let axis_px = Vector2::new(620.0, 300.0);
     let (middle, axis) = (initial(None), initial(Some(axis_px)));
@@ -88,8 +88,8 @@ fn a_calibration_starts_with_the_axis_of_the_detection() {
     let shift = axis.mla.offset_mm - middle.mla.offset_mm;
     let of_axis = (axis_px - middle.mla.principal_point_px) * axis.sensor.pixel_size_mm;
     assert!((shift - of_axis).norm() < 0.03 * of_axis.norm(), "{shift} for {of_axis}");
-    let far = CalibrationOptions { axis_px: Some(Vector2::new(1e5, 0.0)), ..free() };
-    let error = calibrate(&start, &board(), &observations, &far, &mut |_| true).unwrap_err();
+    let far = Observations { axis_px: Some(Vector2::new(1e5, 0.0)), ..observations };
+    let error = calibrate(&start, &board(), &far, &free(), &mut |_| true).unwrap_err();
     assert!(error.to_string().contains("detection.json) is at (100000, 0) px"), "{error}");
 }
 

@@ -39,7 +39,7 @@ fn calibrated(settings: &Settings) -> Calibration {
         .map(|c| source.center(&c.center))
         .filter(|c| inside(c.u_px, sensor.width_px) && inside(c.v_px, sensor.height_px))
         .collect();
-    let observations = Observations { centers, features };
+    let observations = Observations { centers, features, ..Observations::default() };
     let start =
         Start::Datasheet(settings.datasheet(), optics::internal_parameters(&settings.camera));
     calibrate(&start, &settings.target.board(), &observations, &options(), &mut |_| true).unwrap()

@@ -1,5 +1,7 @@
 //! Tests with boards in perspective: turned, symmetric, incomplete, of another size.
 
+use std::collections::BTreeSet;
+
 use super::*;
 use crate::finding::Issue;
 use crate::model::Sensor;
@@ -106,7 +108,7 @@ fn a_symmetric_board_on_its_side_is_at_one_place() {
             assert!(degrees != 45 || is_top, "{columns} x {rows}, {degrees} degrees");
         }
     }
-    // The position is ambiguous if the board may continue on either side.
+    // If the board continues on both sides, the labels are in its middle.
     let board = Board { columns: 9, rows: 5, square_mm: 3.0 };
     let middle = |corner: &i32| (2..7).contains(&(corner % 9));
     let points: Vec<LatticePoint> = (0..)
@@ -117,7 +119,13 @@ fn a_symmetric_board_on_its_side_is_at_one_place() {
             ..p
         })
         .collect();
-    let why = labelled(&points, &board).unwrap_err();
+    let view = |place: &Vector2<f64>| points.iter().any(|p| (p.place - place).norm() < 20.0);
+    let found = LabelledBoard::label(&points, &board, &view).unwrap();
+    assert_eq!(found.elsewhere, Some(25));
+    let columns = found.corners.iter().map(|corner| corner.unwrap() % 9);
+    assert_eq!(columns.collect::<BTreeSet<i32>>(), BTreeSet::from([2, 3, 4, 5, 6]));
+    // If corners are missing in view, the board may be another one.
+    let why = LabelledBoard::label(&points, &board, &|_| true).unwrap_err();
     assert!(matches!(why, Issue::SeveralPlaces { .. }), "{why}");
 }
 

@@ -79,7 +79,7 @@ fn sections(data: &[u8]) -> Result<Observations> {
             rest.len()
         )));
     }
-    Ok(Observations { centers, features })
+    Ok(Observations { centers, features, ..Observations::default() })
 }
 
 fn section<T>(
