@@ -112,7 +112,14 @@ impl DetectedBoards {
     /// Returns these boards without the frames whose corners are numbered up to a shift, for poses.
     #[must_use]
     pub fn without_shifted_frames(mut self) -> Self {
+        let shifted = self.shifted_frames();
         leave_out_shifted(&mut self.frames);
+        self.findings.retain(|finding| !matches!(finding.issue, Issue::ShiftedNumbers { .. }));
+        let left_out = self.frames.iter().filter(|frame| shifted.contains(&frame.frame));
+        self.findings.extend(left_out.filter_map(|frame| {
+            let why = frame.result.as_ref().err()?.clone();
+            Some(Finding::left_out(frame.frame, Some(&frame.name), why))
+        }));
         self
     }
 
