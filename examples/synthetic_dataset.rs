@@ -3,6 +3,7 @@
 //!
 //!     cargo run --example synthetic_dataset -- data/synthetic
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
@@ -135,7 +136,7 @@ fn main() -> Result<()> {
     output.stage("centers.csv", |out| write_centers(out, &observations.centers))?;
     output.stage("features.csv", |out| write_features(out, &observations.features))?;
     output.stage_json("truth/camera.json", &camera_document(&camera, None))?;
-    output.stage_json("truth/poses.json", &poses_document(&poses, None))?;
+    output.stage_json("truth/poses.json", &poses_document(&poses, None, &BTreeSet::new()))?;
     output.commit()?;
     println!(
         "{} centres and {} features of {} frames in {folder}",

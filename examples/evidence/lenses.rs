@@ -127,7 +127,7 @@ pub fn decentred(extent: &Extent) -> Result<Vec<String>> {
     Ok(vec![table.with(&paragraph)])
 }
 
-/// Formats e_r and Q₁ₘ with σ, and with their paraxial values.
+/// Formats `e_r` and Q₁ₘ with σ, and with their paraxial values.
 fn small_terms(errors: &[ParameterError], traced: Option<&LensFigures>) -> [String; 2] {
     let cell = |name: &str, factor: f64, decimals: usize, traced: Option<f64>| {
         let error = error_of(errors, name);

@@ -109,7 +109,7 @@ pub(crate) fn lens_types(agreement: Option<f64>) -> Option<Finding> {
     Some(Finding::caution(Issue::LensTypesDisagree { agreement }))
 }
 
-/// Returns true if the main lens vignettes by a part that counts, from [`InternalParameters::vignetting`].
+/// Returns true if the main lens vignettes by a part that counts, from `vignetting` of the internal parameters.
 pub(crate) fn vignettes(vignetting: Option<Estimate>) -> bool {
     vignetting.is_some_and(|Estimate { value, std_dev }| value > NARROW && value > SURE * std_dev)
 }

@@ -43,7 +43,7 @@ pub struct Surface {
 }
 
 fn is_centred(decentre_mm: &[f64; 2]) -> bool {
-    *decentre_mm == [0.0; 2]
+    decentre_mm.iter().all(|x| x.abs() <= 0.0)
 }
 
 fn flat() -> f64 {
