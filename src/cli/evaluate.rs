@@ -1,5 +1,6 @@
 //! `plenocal evaluate`: evaluates a camera on boards that were not used in its calibration.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -153,9 +154,9 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         }
         _ => None,
     };
-    let mut found = |subset: Subset| -> Result<Vec<BapFeature>> {
+    let mut found = |subset: Subset| -> Result<(Vec<BapFeature>, BTreeSet<u32>)> {
         if images_of(subset, &shoot.images).is_empty() {
-            return Ok(Vec::new());
+            return Ok((Vec::new(), BTreeSet::new()));
         }
         let options = Options {
             subset,
@@ -169,15 +170,18 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
             boards::detect_subset(path, &shoot, &micro_images, options, &mut of_subset)?;
         tell(&found.findings);
         output.take(of_subset);
-        Ok(found.features())
+        Ok((found.features(), found.shifted_frames()))
     };
-    let evaluation = found(Subset::Evaluation)?;
-    let translation = found(Subset::Translation)?;
+    let (evaluation, shifted) = found(Subset::Evaluation)?;
+    let (translation, _) = found(Subset::Translation)?;
     let step_mm = shoot.images.translation.as_ref().map(|t| t.step_mm);
     let true_camera = arguments.truth.as_deref();
     let true_camera = true_camera.or(project.truth.as_ref().map(|t| t.camera.as_path()));
     let true_board = project.truth.as_ref().and_then(|t| t.board.as_deref());
     let true_poses = project.truth.as_ref().and_then(|t| t.evaluation_poses.as_deref());
+    let mut true_poses = true_poses.map(io::read_poses).transpose()?;
+    // The true numbers of their corners are not known.
+    true_poses.iter_mut().for_each(|poses| poses.retain(|pose| !shifted.contains(&pose.frame)));
     let input = EvaluationInput {
         board: shoot.board,
         evaluation,
@@ -186,7 +190,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         truth: true_camera.map(calibrated).transpose()?,
         true_board: true_board.map(io::read_true_board).transpose()?,
         poses: Vec::new(),
-        evaluation_poses: true_poses.map(io::read_poses).transpose()?,
+        evaluation_poses: true_poses,
         folds,
     };
     let mut evaluation = evaluated(&candidates, &input, arguments.json);

@@ -281,7 +281,9 @@ impl<'a> Run<'a> {
             Ok(result) => Ok(Some(result)),
             Err(error @ Error::Write { .. }) => Err(error),
             Err(error) => {
-                let finding = Finding::caution(Issue::PartFailed { reason: error.to_string() })
+                // The lines after the first one have tables.
+                let reason = error.to_string().lines().next().unwrap_or_default().to_owned();
+                let finding = Finding::caution(Issue::PartFailed { reason })
                     .about(Subject::Part(part.to_owned()));
                 tell([&finding]);
                 self.findings.push(finding);
@@ -452,7 +454,14 @@ impl<'a> Run<'a> {
             let poses = |path: &Option<PathBuf>| path.as_deref().map(io::read_poses).transpose();
             input.truth = Some(calibrated(&truth.camera)?);
             input.true_board = truth.board.as_deref().map(io::read_true_board).transpose()?;
-            input.evaluation_poses = poses(&truth.evaluation_poses)?;
+            let shifted = boards
+                .iter()
+                .find(|(subset, _)| *subset == Subset::Evaluation)
+                .map(|(_, found)| found.shifted_frames())
+                .unwrap_or_default();
+            let mut known = poses(&truth.evaluation_poses)?;
+            known.iter_mut().for_each(|poses| poses.retain(|pose| !shifted.contains(&pose.frame)));
+            input.evaluation_poses = known;
             if let Some(truth) = poses(&truth.calibration_poses)? {
                 // The true numbers of the corners of the others are not known.
                 let is_known =

@@ -25,8 +25,8 @@ pub const AT_ONCE: usize = 4;
 ///
 /// `inspect` is called once for every image, from several threads, with the image if it could be read. Returns an error if the
 /// white image does not have the size of the sensor, or if `inspect` fails. A frame without a board, or that cannot be read, is
-/// left out with a warning. In frames of the calibration, the board may fill the view, so that its corners are numbered up to a
-/// shift ([`DetectedBoards::shifted_frames`]); such frames of other subsets are left out.
+/// left out with a warning. The board may fill the view, so that its corners are numbered up to a shift
+/// ([`DetectedBoards::shifted_frames`]); such frames of a translation are left out, since its steps depend on the shift.
 pub fn detect<'i>(
     images: &[BoardImage<'i>],
     white: &RawImage,
@@ -81,7 +81,7 @@ pub fn detect<'i>(
             frame.result = Err(Issue::TooFewForPose { corners, fewest: MIN_CORNERS });
         }
     }
-    if subset != Subset::Calibration {
+    if subset == Subset::Translation {
         leave_out_shifted(&mut frames);
     }
     let mut findings = findings(&frames, search.board, subset);
