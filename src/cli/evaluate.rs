@@ -181,7 +181,9 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let true_poses = project.truth.as_ref().and_then(|t| t.evaluation_poses.as_deref());
     let mut true_poses = true_poses.map(io::read_poses).transpose()?;
     // The true numbers of their corners are not known.
-    true_poses.iter_mut().for_each(|poses| poses.retain(|pose| !shifted.contains(&pose.frame)));
+    if let Some(poses) = &mut true_poses {
+        poses.retain(|pose| !shifted.contains(&pose.frame));
+    }
     let input = EvaluationInput {
         board: shoot.board,
         evaluation,

@@ -460,7 +460,9 @@ impl<'a> Run<'a> {
                 .map(|(_, found)| found.shifted_frames())
                 .unwrap_or_default();
             let mut known = poses(&truth.evaluation_poses)?;
-            known.iter_mut().for_each(|poses| poses.retain(|pose| !shifted.contains(&pose.frame)));
+            if let Some(poses) = &mut known {
+                poses.retain(|pose| !shifted.contains(&pose.frame));
+            }
             input.evaluation_poses = known;
             if let Some(truth) = poses(&truth.calibration_poses)? {
                 // The true numbers of the corners of the others are not known.
