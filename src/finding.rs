@@ -356,7 +356,7 @@ issues! {
         "take white images without clipped samples";
     /// Micro-images at the corners of the image are not round.
     ObliquePupil "oblique-pupil" { narrower: f64 } =>
-        format!("the micro-images at the corners of the image are {:.0} % narrower radially: the main lens vignettes there, so that e_r and Q1_m are not estimated, and distortion, field curvature and the tilt of the array can be off by several σ", 100.0 * narrower),
+        format!("the micro-images at the corners of the image are {:.0} % narrower radially: the main lens vignettes there, so that e_r and Q1_m are held unless they have a prior, and distortion, field curvature and the tilt of the array can be off by several σ", 100.0 * narrower),
         "take boards and white images at a larger f-number, or keep boards away from the border of the image";
     /// Few micro-images have the size of their lens type.
     LensTypesDisagree "lens-types-disagree" { agreement: f64 } =>
@@ -483,7 +483,7 @@ issues! {
         "show more of the board or its edges, or correct its size";
     /// In some frames the board fills the view.
     ShiftedNumbers "shifted-numbers" { frames: Vec<u32> } =>
-        format!("the board fills the view (frames {}): its corners are numbered up to a shift by whole squares, which the camera does not depend on, but the poses of these frames do", list(frames)),
+        format!("the board fills the view (frames {}): its corners are numbered up to a shift by whole squares and a quarter turn, on which the poses of these frames depend, but not the camera; the shape of the board is not estimated", list(frames)),
         NONE;
     /// Too few of the corners in view were found.
     TooFewInView "too-few-in-view" { found: usize, in_view: usize } =>

@@ -148,7 +148,8 @@ impl Settings<'_> {
             |refined, trial, aside| Settled { refined, priors: priors.to_vec(), trial, aside };
         let none = Effort::default();
         let stopped = flat.refinement.termination == Termination::Stopped;
-        if model != BoardModel::Auto || stopped || !free.parameters.contains(&true) {
+        let open = model == BoardModel::Auto && self.tries_shape;
+        if !open || stopped || !free.parameters.contains(&true) {
             return Ok(known(flat, Trial::NotTried, none));
         }
         if !flat.uncertainty.shared {

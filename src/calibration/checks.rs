@@ -1,9 +1,9 @@
 //! Checks before and after the refinement, and whether camera and observations belong together.
 
 use crate::calibration::numbering::check_numbering;
-use crate::calibration::{CalibrationOptions, LeftOut, Mode, Start};
+use crate::calibration::{BoardModel, CalibrationOptions, LeftOut, Mode, Start};
 use crate::error::{Error, Observed, Result};
-use crate::finding::Issue;
+use crate::finding::{Issue, list};
 use crate::model::{BapFeature, Board, Observations, PlenopticCamera, Sensor};
 use crate::precalibration::MicroImageArray;
 use crate::solver::{self, LossKind, Refinement};
@@ -26,7 +26,12 @@ pub(super) fn without_frames(
         features: out.iter().filter(|f| f.frame == frame).count(),
         reason: Issue::Excluded,
     });
-    let kept = Observations { features: kept, ..observations.clone() };
+    let shifted = observations.shifted_frames.iter().filter(|frame| !frames.contains(frame));
+    let kept = Observations {
+        features: kept,
+        shifted_frames: shifted.copied().collect(),
+        ..observations.clone()
+    };
     Ok((kept, excluded.collect()))
 }
 
@@ -45,6 +50,7 @@ pub(super) fn check_observations(
     let needs_rho = options.has_rho() && start.lens_types() > 0;
     observations.validate(start.sensor(), size, board, needs_rho)?;
     check_axis(observations, start.sensor())?;
+    check_shifted(observations, options.board)?;
     check_numbering(&observations.features, board)?;
     if observations.features.is_empty() {
         return Err(Error::invalid(if options.exclude_frames.is_empty() {
@@ -66,6 +72,20 @@ pub(super) fn check_observations(
         return Err(Error::NoCenters);
     }
     Ok(())
+}
+
+/// Returns an error if a bent board is to be estimated from frames that do not show which way round it is.
+fn check_shifted(observations: &Observations, board: BoardModel) -> Result<()> {
+    let frames: Vec<u32> = observations.shifted_frames.iter().copied().collect();
+    if frames.is_empty() || board != BoardModel::Bent {
+        return Ok(());
+    }
+    Err(Error::invalid(format!(
+        "the board fills the view in frames {}, so that it is not known which way round it is, and its \
+         shape cannot be estimated: exclude these frames (exclude_frames), or state a flat board \
+         (board = \"flat\")",
+        list(&frames)
+    )))
 }
 
 /// Returns an error if the optical axis of the observations is far outside the image.

@@ -512,8 +512,8 @@ impl CalibrationOptions {
         implied.map(|(parameter, _)| parameter).chain(self.fix.iter().copied()).collect()
     }
 
-    /// Returns the options for a camera with these white images. If the main lens vignettes, the centroid of a micro-image is
-    /// not the image of the pupil's centre, and small terms without a stated prior keep their value.
+    /// Returns these options for a start. If white images show that the main lens vignettes, the centroid of a micro-image is not
+    /// the image of the pupil's centre, and small terms without a stated prior keep their value.
     pub(super) fn of_start(&self, start: &Start) -> Self {
         let mut options = self.clone();
         if start.internal().is_some_and(|internal| vignettes(internal.vignetting)) {

@@ -24,7 +24,7 @@ const ROUGH_ITERATIONS: usize = 12;
 const ALIKE: f64 = 2.0;
 /// Limit of refinements; the first half of them is rough.
 const MAX_ATTEMPTS: usize = 6;
-/// The principal point, whose start is good to some ten pixels.
+/// The principal point, whose start is good to the tolerance of mounts, 0.5 mm, or better.
 const PRINCIPAL_POINT: [Parameter; 2] = [Parameter::PrincipalPointU, Parameter::PrincipalPointV];
 /// Initial weight of the priors, typical of real observations.
 const FIRST_WEIGHT: f64 = 10.0;
@@ -34,6 +34,8 @@ const LEAST_WEIGHT: f64 = 1e-6;
 /// Input of a refinement besides the problem.
 pub(super) struct Settings<'a> {
     pub frames: &'a Frames,
+    /// True if the shape of the board may be tried: all frames show which way round the board is.
+    pub tries_shape: bool,
     pub options: &'a CalibrationOptions,
     /// Systematic errors of observations and priors.
     pub systematic: Vec<SystematicError>,
@@ -92,7 +94,7 @@ impl Settings<'_> {
                 refine(&start, self, &used, limit, rough, progress)?
             };
             let stopped = next.termination == Termination::Stopped;
-            let refinement = followed(so_far.take(), next);
+            let mut refinement = followed(so_far.take(), next);
             let refined = at_end(problem, Some(&refinement));
             let uncertainty = self.uncertainty(&refined, &used)?;
             let change = uncertainty.dispersion.max(LEAST_WEIGHT) / cost.prior_weight;
@@ -101,6 +103,10 @@ impl Settings<'_> {
                 || self.left(Some(&refinement)) == 0
                 || (!rough && (settled || attempt >= MAX_ATTEMPTS));
             if done {
+                if rough && refinement.termination == Termination::Converged {
+                    // Parameters were held.
+                    refinement.termination = Termination::IterationLimit;
+                }
                 return Ok(Refined { refinement, uncertainty, cost: used });
             }
             if measured {

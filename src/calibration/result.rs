@@ -21,7 +21,7 @@ pub struct Calibration {
     pub board: BoardResult,
     /// The poses of the frames used, by frame number.
     pub poses: Vec<FramePose>,
-    /// Frames whose corners are numbered up to a shift by whole squares, and whose poses contain the shift.
+    /// Frames whose corners are numbered up to a shift by whole squares and a quarter turn, which their poses contain.
     pub shifted_frames: BTreeSet<u32>,
     /// Initial poses of these frames.
     pub initial_poses: Vec<FramePose>,
@@ -83,9 +83,12 @@ impl Calibration {
             return f64::INFINITY;
         }
         let covariance = &uncertainty.covariance;
-        let terms = gradient.iter().enumerate().flat_map(|(i, a)| {
-            gradient.iter().enumerate().map(move |(j, b)| a * b * covariance[(i, j)])
-        });
-        terms.filter(|term| *term != 0.0).sum::<f64>().max(0.0).sqrt()
+        let of_m: Vec<(usize, f64)> =
+            gradient.into_iter().enumerate().filter(|(_, by)| *by != 0.0).collect();
+        let variance: f64 = of_m
+            .iter()
+            .flat_map(|(i, a)| of_m.iter().map(move |(j, b)| a * b * covariance[(*i, *j)]))
+            .sum();
+        if variance.is_nan() { f64::INFINITY } else { variance.max(0.0).sqrt() }
     }
 }

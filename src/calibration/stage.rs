@@ -108,7 +108,9 @@ fn completed(
     let mut cost = known.unwrap_or_else(|| cost_for(options, &initial, &observations, &priors));
     let all = (frames.features.as_slice(), observations.centers.as_slice());
     let systematic = systematic_errors(&start, &initial, all, &cost, options)?;
-    let settings = Settings { frames: &frames, options, systematic, known_weight: None };
+    let tries_shape = observations.shifted_frames.is_empty();
+    let settings =
+        Settings { frames: &frames, tries_shape, options, systematic, known_weight: None };
     let (settled, outlying) = match at {
         Some(_) => (settings.evaluated(&problem, &cost, &priors, !of_problem)?, None),
         None => withstanding(&settings, &problem, &mut cost, &priors, progress)

@@ -186,7 +186,8 @@ pub(crate) fn prior(
 /// Compares m of the white images with m of the camera, which has this relative σ; `error` is (m* − m)/m*.
 pub(crate) fn slope(error: f64, std_dev: f64) -> Option<Finding> {
     let off = error.abs();
-    (off > SLOPES_AGREE && off > CONTRADICTED * std_dev).then(|| {
+    let wrong = off > WRONG * SLOPE_FLOOR;
+    (wrong || (off > SLOPES_AGREE && off > CONTRADICTED * std_dev)).then(|| {
         Finding::new(severity_above(off, WRONG * SLOPE_FLOOR), Issue::SlopeContradicted { error })
             .weighing(2.0 * off / SLOPE_FLOOR)
     })

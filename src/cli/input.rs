@@ -49,7 +49,8 @@ impl Input {
             options.board = BoardModel::Known(shape);
         }
         let rho = options.has_rho() && options.mode != Mode::CornersOnly && start.lens_types() > 0;
-        let (observations, sources) = observations(files, project, rho)?;
+        let (mut observations, sources) = observations(files, project, rho)?;
+        io::add_detection(&mut observations, &sources[0])?;
         announce_calibration(&observations.features);
         Ok(Self { start, board, observations, options, sources })
     }

@@ -137,7 +137,7 @@ fn size_in_reach(board: &Board) -> Result<usize, Issue> {
 }
 
 /// Returns the best of some placements, which are in the order of their scores, highest first, and the number of points at
-/// another one that is as good.
+/// another one that is about as good.
 fn best_of<'a>(
     placements: &'a [Placement],
     board: &Board,

@@ -100,7 +100,8 @@ impl DetectedBoards {
         }
     }
 
-    /// Returns the frames in which the board fills the view, so that its corners are numbered up to a shift by whole squares.
+    /// Returns the frames in which the board fills the view, so that its corners are numbered up to a shift by whole squares and
+    /// a quarter turn.
     #[must_use]
     pub fn shifted_frames(&self) -> BTreeSet<u32> {
         let is_shifted = |frame: &&DetectedFrame| {

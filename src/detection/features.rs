@@ -37,7 +37,7 @@ pub struct Detection {
     /// Homography from (column, row, 1) of a corner to its pinhole image, px.
     pub homography: Matrix3<f64>,
     /// Number of corners that match another part of the board, if they do: the board fills the view, and the corners are numbered
-    /// up to a shift by whole squares.
+    /// up to a shift by whole squares and a quarter turn.
     pub elsewhere: Option<usize>,
     /// Aberrations that positions are corrected for: a main lens without them would show the corners there.
     pub aberration: Aberration,

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::json_file::{check_version, document_of, read_json};
 use crate::detection::{Aberration, DetectedBoards, DetectedFrame, Edges};
 use crate::error::Result;
-use crate::model::Board;
+use crate::model::{Board, Observations};
 
 const FORMAT: &str = "plenocal-detection";
 const VERSION: u64 = 1;
@@ -86,18 +86,25 @@ struct FrameFile {
     shifted: bool,
 }
 
+/// Adds to observations what the file `detection.json` beside their features file has: the optical axis, and the frames whose
+/// corners are numbered up to a shift. Nothing is added if there is no such file, or if it is of another program.
+///
+/// Returns an error that names the file if it cannot be read.
+pub fn add_detection(observations: &mut Observations, features: &Path) -> Result<()> {
+    let Beside { axis_px, shifted_frames } = Beside::read(features)?;
+    (observations.axis_px, observations.shifted_frames) = (axis_px, shifted_frames);
+    Ok(())
+}
+
 /// Content of the file `detection.json` beside a features file that the features do not have.
 #[derive(Debug, Default, PartialEq)]
-pub(super) struct Beside {
-    pub axis_px: Option<Vector2<f64>>,
-    pub shifted_frames: BTreeSet<u32>,
+struct Beside {
+    axis_px: Option<Vector2<f64>>,
+    shifted_frames: BTreeSet<u32>,
 }
 
 impl Beside {
-    /// Reads the file beside a features file. It has no content if there is no file, or if it is of another program.
-    ///
-    /// Returns an error that names the file if it cannot be read.
-    pub fn read(features: &Path) -> Result<Self> {
+    fn read(features: &Path) -> Result<Self> {
         let path = features.with_file_name("detection.json");
         if !path.is_file() {
             return Ok(Self::default());

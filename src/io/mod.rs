@@ -45,7 +45,7 @@ pub use camera_file::{
 };
 pub use comparison_file::comparison_document;
 pub use data_set_folder::{image_name, is_data_set, remove_older_data, stage_data_set};
-pub use detection_file::detection_document;
+pub use detection_file::{add_detection, detection_document};
 pub use evaluation_file::evaluation_document;
 pub use first_look::{doubtful_files, first_look, repeated};
 pub use folder_lock::FolderLock;

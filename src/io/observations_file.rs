@@ -10,7 +10,6 @@ use std::path::Path;
 use csv::{ReaderBuilder, StringRecord, Trim};
 use nalgebra::Point3;
 
-use super::detection_file::Beside;
 use super::spelling::meant;
 use super::{compote, not_utf8, read_bytes};
 use crate::calibration::ProblemFeature;
@@ -39,8 +38,7 @@ pub fn read_centers(path: &Path) -> Result<Vec<MicroImageCenter>> {
     })
 }
 
-/// Reads BAP features from CSV, or features and centres from COMPOTE's binary form. The optical axis and the frames with shifted
-/// numbers are in the file `detection.json` beside the features, if there is one.
+/// Reads BAP features from CSV, or features and centres from COMPOTE's binary form.
 ///
 /// With `rho` false the column `rho` may be missing.
 pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
@@ -52,8 +50,7 @@ pub fn read_features(path: &Path, rho: bool) -> Result<Observations> {
     required.extend(rho.then_some("rho"));
     let optional = optional_of_features();
     let features = rows(path, &bytes, &required, &optional, feature)?;
-    let Beside { axis_px, shifted_frames } = Beside::read(path)?;
-    Ok(Observations { centers: Vec::new(), features, axis_px, shifted_frames })
+    Ok(Observations { features, ..Observations::default() })
 }
 
 fn optional_of_features() -> Vec<&'static str> {

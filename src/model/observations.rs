@@ -111,8 +111,8 @@ pub struct Observations {
     pub features: Vec<BapFeature>,
     /// Optical axis as aberrations in images of boards show it, px: the start of the principal point.
     pub axis_px: Option<Vector2<f64>>,
-    /// Frames whose corners are numbered up to a shift by whole squares, since the board fills the view. The camera does not depend
-    /// on the shift; poses do.
+    /// Frames whose corners are numbered up to a shift by whole squares and a quarter turn, since the board fills the view. Poses
+    /// and the shape of the board depend on these; the camera does not.
     pub shifted_frames: BTreeSet<u32>,
 }
 

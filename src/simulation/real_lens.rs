@@ -89,7 +89,7 @@ const STEP: f64 = 1e-4;
 /// Height of the image off the axis at which figures are computed, in focal lengths: large against rounding errors, small
 /// enough that the next order is negligible.
 const FIGURES_HEIGHT: f64 = 0.04;
-/// Ratio of the distances of the two objects from which the growth of the field curvature is computed.
+/// Ratio of the distances of the two objects from which the growth of field curvature and distortion is computed.
 const FIGURES_FURTHER: f64 = 1.1;
 /// Largest miss at which Newton's method ends, mm at the stop or at the object.
 const FOUND_MM: f64 = 1e-9;
@@ -224,8 +224,10 @@ impl RealLens {
     /// Returns the slope of the ray from a point behind the lens through the middle of the stop.
     pub fn chief_slope(&self, from: &Point3<f64>) -> Option<Vector2<f64>> {
         let surfaces = &self.interfaces[..=self.stop];
+        let middle = self.interfaces[self.stop].vertex;
         let at_stop = |slope: Vector2<f64>| {
-            Self::through::<false>(&Ray::from(from, slope), surfaces).map(|inner| inner.at.xy())
+            let inner = Self::through::<false>(&Ray::from(from, slope), surfaces)?;
+            Some(inner.at.xy() - middle)
         };
         newton(slope_towards(from, &self.exit_pupil), &at_stop).map(|(slope, _)| slope)
     }
@@ -271,18 +273,24 @@ impl RealLens {
         let image = |height: f64, object_mm: f64| {
             self.image_of(&Point3::new(height / magnification(object_mm), 0.0, object_mm))
         };
+        // Differences between both sides are right for decentred lenses too.
         let curvature = |object_mm: f64| -> Option<f64> {
-            Some((image(height, object_mm)?.z - image(0.0, object_mm)?.z) / height.powi(2))
+            let sides = f64::midpoint(image(height, object_mm)?.z, image(-height, object_mm)?.z);
+            Some((sides - image(0.0, object_mm)?.z) / height.powi(2))
         };
         let distortion = |object_mm: f64| -> Option<f64> {
-            Some((image(height, object_mm)?.x / height - 1.0) / height.powi(2))
+            let across = image(height, object_mm)?.x - image(-height, object_mm)?.x;
+            Some((across / (2.0 * height) - 1.0) / height.powi(2))
+        };
+        let slope = |height: f64| -> Option<f64> {
+            Some(self.chief_slope(&Point3::new(height, 0.0, -lens_to_mla_mm))?.x)
         };
         let further_mm = object_mm * FIGURES_FURTHER;
         let [near, far] = [curvature(object_mm)?, curvature(further_mm)?];
         let [q1, q1_far] = [distortion(object_mm)?, distortion(further_mm)?];
         let less = magnification(further_mm) - magnification(object_mm);
-        let on_array = Point3::new(height, 0.0, -lens_to_mla_mm);
-        let crossing = on_array.z - height / self.chief_slope(&on_array)?.x;
+        let by_height = (slope(height)? - slope(-height)?) / (2.0 * height);
+        let crossing = -lens_to_mla_mm - 1.0 / by_height;
         Some(LensFigures {
             focal_length_mm: self.focal_length,
             object_side_principal_mm: self.object_side,

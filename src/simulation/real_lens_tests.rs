@@ -287,14 +287,14 @@ fn decentred_surfaces_move_the_lens() {
     let traced = |moved: usize, factor: f64, offset: Vector2<f64>| {
         let mut prescription = named.clone();
         for surface in prescription.surfaces.iter_mut().rev().take(moved) {
-            surface.decentre_mm = [0.5 * factor, -0.3 * factor];
+            surface.decentre_mm = [0.1 * factor, -0.06 * factor];
         }
         let lens = RealLens::new(&prescription, 100.0, 4.0).unwrap();
         let slope = Vector2::new(-0.05, 0.02);
         let ray = Ray { at_lens: Vector2::new(3.0, 2.0) + offset, slope };
         lens.object_ray(&ray).unwrap()
     };
-    let offset = Vector2::new(0.5, -0.3) * (100.0 / 100.004);
+    let offset = Vector2::new(0.1, -0.06) * (100.0 / 100.004);
     let (before, after) =
         (traced(0, 0.0, Vector2::zeros()), traced(named.surfaces.len(), 1.0, offset));
     assert!((after.slope - before.slope).norm() < 1e-7);
@@ -302,7 +302,7 @@ fn decentred_surfaces_move_the_lens() {
     // The last element alone deviates the ray in proportion to its decentre.
     let [once, twice] =
         [1.0, 2.0].map(|factor| traced(2, factor, Vector2::zeros()).slope - before.slope);
-    assert!(once.norm() > 1e-3 && (twice - once * 2.0).norm() < 0.02 * once.norm(), "{once}");
+    assert!(once.norm() > 2e-4 && (twice - once * 2.0).norm() < 0.02 * once.norm(), "{once}");
 }
 
 #[test]

@@ -109,7 +109,7 @@ fn shifted_numbers_move_poses_and_not_the_camera() {
         observations.shifted_frames = observations.frames().into_iter().filter(shifted).collect();
         let whole =
             Scene { board: larger, camera: scene.camera.clone(), poses: scene.poses.clone() };
-        whole.calibrated(&observations, BoardModel::Bent)
+        whole.calibrated(&observations, BoardModel::Auto)
     };
     let (plain, shifted) = (calibrated(&|_| 0), calibrated(&|frame| i32::from(frame % 3 == 0) * 2));
     let std_devs = plain.uncertainty.intrinsic_std_devs(3);

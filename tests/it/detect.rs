@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use assert_cmd::assert::Assert;
-use plenocal::io::{read_camera, read_features, read_poses};
+use plenocal::io::{add_detection, read_camera, read_features, read_poses};
 use plenocal::model::BapFeature;
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
@@ -389,7 +389,9 @@ fn a_board_that_fills_the_view_counts_for_the_camera_only() {
     let frames = detection["frames"].as_array().unwrap();
     let shifted: Vec<bool> = frames.iter().map(|frame| frame["shifted"] == true).collect();
     assert_eq!(shifted, [true, true, false]);
-    let observations = read_features(&found.join("features.csv"), true).unwrap();
+    let features = found.join("features.csv");
+    let mut observations = read_features(&features, true).unwrap();
+    add_detection(&mut observations, &features).unwrap();
     assert_eq!(observations.shifted_frames, BTreeSet::from([0, 1]));
     let mut poses = plenocal();
     poses.arg("extrinsics").arg(set.join("project.toml")).arg("--camera");
