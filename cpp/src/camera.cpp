@@ -51,16 +51,6 @@ void validate(const Camera& camera) {
   require_behind(camera.mla.lens_to_mla + camera.exit_pupil.z, "in front of the array");
   require_behind(camera.main_lens.focal_length + camera.exit_pupil.z,
                  "in front of the rear focal point");
-  // The aberration of the pupil has the largest effect at the corners of the array.
-  const ArrayOptics<double> array(camera.mla, camera.pixel_size);
-  for (int k : {0, lattice.columns - 1}) {
-    for (int l : {0, lattice.rows - 1}) {
-      const Vector3<double> center = array.micro_lens_center(lattice.node(k, l));
-      if (!(camera.exit_pupil.seen_from(center).z > center.z)) {
-        reject("with its aberration (e_r), the exit pupil does not lie in front of the array");
-      }
-    }
-  }
 }
 
 std::optional<Feature<double>> project(const Camera& camera, const Pose& camera_from_board,
