@@ -20,6 +20,8 @@ use crate::solver::{CostOptions, Iteration, Prior, Problem, Refinement, Terminat
 const FLAT: f64 = 1e-3;
 /// Distance from 0, in σ, beyond which a value is not due to chance.
 const SIGNIFICANT: f64 = 3.0;
+/// Ratio of costs below which a minimum is another one. Costs at the same minimum differ by the weight of the priors.
+const CLEARLY_LOWER: f64 = 0.99;
 /// Index of the aspect in the table of parameters; the parameters of the bend precede it.
 const ASPECT: usize = 3;
 
@@ -161,20 +163,37 @@ impl Settings<'_> {
             known_weight: Some(flat.cost.prior_weight),
             ..*self
         };
-        // If the trial fails, the present result stands.
-        let free_trial = match near.refine_free(&start, (cost, priors), &free, progress) {
-            Ok(trial) => trial,
-            Err(error) => return Ok(known(flat, Trial::Failed(error.to_string()), none)),
+        let trial = near.refine_free(&start, (cost, priors), &free, progress);
+        // A strongly bent board leads a refinement with a flat one to a camera from which no way may lead back.
+        let may_be_astray = match &trial {
+            Ok(trial) if trial.refined.refinement.termination == Termination::Stopped => false,
+            Ok(trial) => {
+                flat.refinement.termination != Termination::Converged || is_bent(trial, &free)
+            }
+            Err(_) => true,
         };
+        let again = may_be_astray
+            .then(|| self.refine_free(problem, (cost, priors), &free, progress))
+            .and_then(Result::ok);
+        let (free_trial, is_again) = match (trial, again) {
+            (Ok(trial), Some(again)) if cost_of(&again) < CLEARLY_LOWER * cost_of(&trial) => {
+                (again, true)
+            }
+            (Ok(trial), _) => (trial, false),
+            (Err(_), Some(again)) => (again, true),
+            // The result with a flat board stands.
+            (Err(error), None) => {
+                return Ok(known(flat, Trial::Failed(error.to_string()), none));
+            }
+        };
+        let (settings, start) = if is_again { (self, *problem) } else { (&near, start) };
         let aside = Effort::of(&free_trial.refined.refinement);
         if free_trial.refined.refinement.termination == Termination::Stopped {
             flat.refinement.termination = Termination::Stopped;
             return Ok(known(flat, Trial::NotTried, aside));
         }
         let std_devs_from_zero = std_devs_from_zero(&free_trial.refined);
-        let clear = std_devs_from_zero.map(|from| from.is_some_and(|from| from > SIGNIFICANT));
-        let parameters =
-            std::array::from_fn(|i| free.parameters[i] && clear[usize::from(i == ASPECT)]);
+        let parameters = shown(&std_devs_from_zero, &free);
         let values = values(&free_trial.refined);
         let tried = |failed: Option<Error>| {
             let unsettled = failed.map(|error| error.to_string());
@@ -187,8 +206,10 @@ impl Settings<'_> {
         }
         let found = Free { parameters, ..free };
         let (mut settled, failed) =
-            near.settle(&start, free_trial, (cost, priors), (&free, found), progress);
-        settled.refined.refinement = flat.refinement.followed_by(settled.refined.refinement);
+            settings.settle(&start, free_trial, (cost, priors), (&free, found), progress);
+        if !is_again {
+            settled.refined.refinement = flat.refinement.followed_by(settled.refined.refinement);
+        }
         Ok(Settled { trial: tried(failed), ..settled })
     }
 
@@ -265,6 +286,21 @@ impl Settings<'_> {
             Err(error) => (trial, Some(error)),
         }
     }
+}
+
+/// Returns the free parameters of a shape that are significant.
+fn shown(std_devs_from_zero: &[Option<f64>; 2], free: &Free) -> [bool; SHAPE] {
+    let clear = std_devs_from_zero.map(|from| from.is_some_and(|from| from > SIGNIFICANT));
+    std::array::from_fn(|i| free.parameters[i] && clear[usize::from(i == ASPECT)])
+}
+
+/// Returns true if a trial with free parameters of the shape shows that the board is not flat.
+fn is_bent(trial: &Settled, free: &Free) -> bool {
+    shown(&std_devs_from_zero(&trial.refined), free).contains(&true)
+}
+
+fn cost_of(settled: &Settled) -> f64 {
+    settled.refined.refinement.cost
 }
 
 fn is_fixed(cost: &CostOptions, name: &str) -> bool {
