@@ -483,7 +483,7 @@ issues! {
         "show more of the board or its edges, or correct its size";
     /// In some frames the board fills the view.
     ShiftedNumbers "shifted-numbers" { frames: Vec<u32> } =>
-        format!("the board fills the view (frames {}): its corners are numbered up to a shift by whole squares and a quarter turn, on which the poses of these frames depend, but not the camera; the shape of the board is not estimated", list(frames)),
+        format!("the board fills the view (frames {}): its corners are numbered up to a shift by whole squares and a quarter turn. The camera does not depend on these, but the poses of these frames do, and the board is taken to be flat", list(frames)),
         NONE;
     /// Too few of the corners in view were found.
     TooFewInView "too-few-in-view" { found: usize, in_view: usize } =>

@@ -4,7 +4,7 @@ use crate::calibration::numbering::check_numbering;
 use crate::calibration::{BoardModel, CalibrationOptions, LeftOut, Mode, Start};
 use crate::error::{Error, Observed, Result};
 use crate::finding::{Issue, list};
-use crate::model::{BapFeature, Board, Observations, PlenopticCamera, Sensor};
+use crate::model::{BapFeature, Board, Observations, Parameter, PlenopticCamera, Sensor};
 use crate::precalibration::MicroImageArray;
 use crate::solver::{self, LossKind, Refinement};
 
@@ -50,7 +50,7 @@ pub(super) fn check_observations(
     let needs_rho = options.has_rho() && start.lens_types() > 0;
     observations.validate(start.sensor(), size, board, needs_rho)?;
     check_axis(observations, start.sensor())?;
-    check_shifted(observations, options.board)?;
+    check_shifted(observations, options)?;
     check_numbering(&observations.features, board)?;
     if observations.features.is_empty() {
         return Err(Error::invalid(if options.exclude_frames.is_empty() {
@@ -75,14 +75,16 @@ pub(super) fn check_observations(
 }
 
 /// Returns an error if a bent board is to be estimated from frames that do not show which way round it is.
-fn check_shifted(observations: &Observations, board: BoardModel) -> Result<()> {
+fn check_shifted(observations: &Observations, options: &CalibrationOptions) -> Result<()> {
     let frames: Vec<u32> = observations.shifted_frames.iter().copied().collect();
-    if frames.is_empty() || board != BoardModel::Bent {
+    let has_prior = Parameter::SHAPE.iter().any(|parameter| options.priors.knows(parameter.name()));
+    let is_bent = options.board == BoardModel::Bent || has_prior;
+    if frames.is_empty() || !is_bent {
         return Ok(());
     }
     Err(Error::invalid(format!(
-        "the board fills the view in frames {}, so that it is not known which way round it is, and its \
-         shape cannot be estimated: exclude these frames (exclude_frames), or state a flat board \
+        "the board fills the view in frames {}: these do not show which way round it is, so its shape \
+         cannot be estimated. Exclude these frames (exclude_frames), or state a flat board \
          (board = \"flat\")",
         list(&frames)
     )))

@@ -10,7 +10,8 @@ use crate::model::{
 use crate::precalibration::MicroImageArray;
 
 /// Returns the camera from which the refinement starts. The array is placed so that the micro-image centres are
-/// reprojected onto the grid. The exit pupil lies on the axis at e_z = `exit_pupil_mm`, and the axis meets the sensor at `principal_point`, px.
+/// reprojected onto the grid. The optical axis meets the sensor at `principal_point`, px, and has the exit pupil at
+/// e_z = `exit_pupil_mm`.
 ///
 /// Returns an error if a value is impossible.
 pub fn initial_camera(

@@ -88,11 +88,8 @@ impl Settings<'_> {
             let left = self.left(so_far.as_ref());
             let used = if rough { plain(&cost) } else { cost.clone() };
             let limit = if rough { ROUGH_ITERATIONS.min(left) } else { left };
-            let next = if rough {
-                refine(&start, self, &with_held(&used), limit, rough, progress)?
-            } else {
-                refine(&start, self, &used, limit, rough, progress)?
-            };
+            let minimised = if rough { with_held(&used) } else { used.clone() };
+            let next = refine(&start, self, &minimised, limit, rough, progress)?;
             let stopped = next.termination == Termination::Stopped;
             let mut refinement = followed(so_far.take(), next);
             let refined = at_end(problem, Some(&refinement));
@@ -104,7 +101,7 @@ impl Settings<'_> {
                 || (!rough && (settled || attempt >= MAX_ATTEMPTS));
             if done {
                 if rough && refinement.termination == Termination::Converged {
-                    // Parameters were held.
+                    // The parameters held have not moved.
                     refinement.termination = Termination::IterationLimit;
                 }
                 return Ok(Refined { refinement, uncertainty, cost: used });

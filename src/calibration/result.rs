@@ -62,33 +62,32 @@ impl Calibration {
         self.m_mm.map(|m| (of_camera - m) / of_camera)
     }
 
-    /// Returns the relative standard deviation of m* = d(F + e_z)/2(D + e_z); infinite if a parameter is not determined.
+    /// Returns the relative standard deviation of m* = d(F + e_z)/2(D + e_z), the slope of Eq. (miradiusfnumber) for a pupil at
+    /// e_z ([`optics::internal_parameters`]), from the derivatives of its logarithm; infinite if a parameter is not determined.
     #[must_use]
     pub fn m_std_dev(&self) -> f64 {
         let (camera, uncertainty) = (&self.camera, &self.uncertainty);
-        let lens_to_pupil = camera.main_lens.exit_pupil_mm.z;
-        let by_focal_length = 1.0 / (camera.main_lens.focal_length_mm + lens_to_pupil);
+        let by_focal_length =
+            1.0 / (camera.main_lens.focal_length_mm + camera.main_lens.exit_pupil_mm.z);
         let by_distance = -1.0 / camera.pupil_to_mla_mm();
         let names = Parameter::intrinsic(camera.lens_types());
-        let gradient = uncertainty.free_intrinsics.iter().map(|&index| match names.get(index) {
-            Some(Parameter::FocalLength) => by_focal_length,
-            Some(Parameter::LensToArray) => by_distance,
-            Some(Parameter::PupilZ) => by_focal_length + by_distance,
-            Some(Parameter::ArrayToSensor) => 1.0 / camera.mla.mla_to_sensor_mm,
-            _ => 0.0,
-        });
-        let gradient: Vec<f64> = gradient.collect();
-        let is_known = |row: usize| gradient[row] == 0.0 || uncertainty.determined[row];
-        if !(0..gradient.len()).all(is_known) {
+        let rows = uncertainty.free_intrinsics.iter().enumerate();
+        let gradient: Vec<(usize, f64)> = rows
+            .filter_map(|(row, &index)| match names.get(index)? {
+                Parameter::FocalLength => Some((row, by_focal_length)),
+                Parameter::LensToArray => Some((row, by_distance)),
+                Parameter::PupilZ => Some((row, by_focal_length + by_distance)),
+                Parameter::ArrayToSensor => Some((row, 1.0 / camera.mla.mla_to_sensor_mm)),
+                _ => None,
+            })
+            .collect();
+        if gradient.iter().any(|(row, _)| !uncertainty.determined[*row]) {
             return f64::INFINITY;
         }
         let covariance = &uncertainty.covariance;
-        let of_m: Vec<(usize, f64)> =
-            gradient.into_iter().enumerate().filter(|(_, by)| *by != 0.0).collect();
-        let variance: f64 = of_m
+        let products = gradient
             .iter()
-            .flat_map(|(i, a)| of_m.iter().map(move |(j, b)| a * b * covariance[(*i, *j)]))
-            .sum();
-        if variance.is_nan() { f64::INFINITY } else { variance.max(0.0).sqrt() }
+            .flat_map(|(i, a)| gradient.iter().map(move |(j, b)| a * b * covariance[(*i, *j)]));
+        products.sum::<f64>().sqrt()
     }
 }

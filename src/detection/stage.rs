@@ -15,7 +15,7 @@ use crate::image::{Grey, RawImage};
 use crate::model::{MIN_CORNERS, SampleLevels, Sensor, Subset};
 use rayon::prelude::*;
 
-/// Largest standard deviation of an optical axis that is known, over the tolerance of mounts.
+/// Largest standard deviation of a known optical axis, over the tolerance of mounts.
 const SURE_AXIS: f64 = 0.25;
 /// Number of frames that [`detect`] has in memory at once.
 pub const AT_ONCE: usize = 4;

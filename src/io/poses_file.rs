@@ -34,8 +34,8 @@ struct TransformFile {
 }
 
 /// Returns the content of `poses.json`: `camera_from_board` of every frame as rotation vector (axis times angle), the rotation
-/// also as a matrix (row by row), translation and, if known, their standard deviations. Frames whose corners are numbered up to a
-/// shift by whole squares have `shifted`.
+/// also as a matrix (row by row), translation and, if known, their standard deviations. Frames in which the board fills
+/// the view are marked `shifted`.
 #[must_use]
 pub fn poses_document(
     poses: &[FramePose],

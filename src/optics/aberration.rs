@@ -222,4 +222,17 @@ mod tests {
             assert!(error < 1e-9 * expected.norm(), "{i}: {error}");
         }
     }
+
+    #[test]
+    fn an_axis_is_known_if_its_error_is_known_and_small() {
+        let aberration = Aberration::none(Vector2::new(500.0, 400.0), 6.0);
+        let none = AberrationEstimate::none(aberration);
+        assert_eq!(none.axis_within(20.0), None);
+        let mut errors = SMatrix::identity();
+        (errors[(3, 3)], errors[(4, 3)], errors[(4, 4)]) = (15.0, 12.0, 16.0);
+        let found = AberrationEstimate { errors, ..none };
+        // Along v, σ is √(12² + 16²) = 20 px.
+        assert_eq!(found.axis_within(20.1), Some(aberration.axis_px));
+        assert_eq!(found.axis_within(19.9), None);
+    }
 }

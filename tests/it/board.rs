@@ -90,6 +90,23 @@ pub fn scene(seed: u64) -> Scene {
     Scene { camera, board, poses }
 }
 
+/// Checks boards so bent that a refinement with a flat one may run away.
+#[test]
+fn strongly_bent_boards_are_found_from_the_start() {
+    const FIVE_SIGMA: f64 = 5.0;
+    for seed in 1..9 {
+        let scene = scene(seed);
+        let shape = BoardShape { sag_x_mm: 1.2, ..BoardShape::default() };
+        let found = scene.calibrated(&scene.observed(shape, seed), BoardModel::Auto);
+        let std_dev = found.uncertainty.intrinsic_std_devs(3)[0].unwrap();
+        let truth = scene.camera.main_lens.focal_length_mm;
+        let off = (found.camera.main_lens.focal_length_mm - truth) / std_dev;
+        println!("seed {seed}: F {off:.1} σ, sag {:.3} mm", found.board.bent.shape.sag_x_mm);
+        assert!(found.converged && off.abs() < FIVE_SIGMA, "seed {seed}: {off} σ");
+        assert!((found.board.bent.shape.sag_x_mm - 1.2).abs() < 0.1, "seed {seed}");
+    }
+}
+
 /// Checks frames of which the board fills the view: their corners are numbered up to a shift.
 #[test]
 fn shifted_numbers_move_poses_and_not_the_camera() {
@@ -123,6 +140,20 @@ fn shifted_numbers_move_poses_and_not_the_camera() {
         let expected = if a.frame % 3 == 0 { step } else { 0.0 };
         assert!((off - expected).abs() < 0.01, "frame {}: {off} mm", a.frame);
     }
+    let bent = CalibrationOptions { board: BoardModel::Bent, ..defaults() };
+    let mut observations = observations;
+    observations.shifted_frames.insert(2);
+    let refused = |observations: &Observations, options: &CalibrationOptions| {
+        calibrate(&scene.start(), &scene.board, observations, options, &mut |_| true)
+            .err()
+            .is_some_and(|error| error.to_string().contains("fills the view in frames 2"))
+    };
+    assert!(refused(&observations, &bent));
+    let mut with_prior = defaults();
+    with_prior.priors.state("sag_x", 0.0, 0.1);
+    assert!(refused(&observations, &with_prior) && !refused(&observations, &defaults()));
+    let without = CalibrationOptions { exclude_frames: vec![2], ..bent };
+    assert!(!refused(&observations, &without));
     let document = poses_document(&shifted.poses, None, &shifted.shifted_frames);
     let is_shifted = |pose: &serde_json::Value| pose["shifted"] == true;
     let marked =

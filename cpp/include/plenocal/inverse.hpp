@@ -29,8 +29,9 @@ class Magnification {
  public:
   /// Creates the magnification m of all points at one distance from the lens.
   explicit Magnification(const T& value) : terms_{value, T(0.0), T(1.0), T(0.0)} {}
-  /// Creates the magnification of the points that the lens images to z, mm. By `main_lens_image`,
-  /// with m (Z - F) = -F for a point at Z, z = m F - F + (kappa - kappa_m m) r^2.
+  /// Creates the magnification of the points whose images lie at z, mm. A point at Z has
+  /// m = -F/(Z - F), so that `main_lens_image` gives z = m F - F + (kappa - kappa_m m) r^2, which
+  /// is linear in m.
   static Magnification of_images_at(const T& z, const MainLens<T>& lens) {
     return Magnification(std::array<T, 4>{z + lens.focal_length, lens.field_curvature,
                                           lens.focal_length, lens.field_curvature_growth});
