@@ -26,8 +26,9 @@ pub struct TiltGradient {
     pub by_aperture_ratio_squared_per_px: [f64; 2],
 }
 
-/// Relative σ of the distance from exit pupil to sensor before a calibration.
-const PUPIL: f64 = 0.25;
+/// σ of the ratio of D + d to the distance from exit pupil to sensor: 1 with the pupil in the lens, 0 for a lens that is
+/// telecentric on the image side.
+const PUPIL: f64 = 0.5;
 /// Least σ of a growth of d, used if the growth is nearly 0, px⁻¹.
 const LEAST_GROWTH: f64 = 1e-7;
 
@@ -41,9 +42,14 @@ pub(crate) fn growth_per_px(
     lens_to_sensor: f64,
 ) -> Vector2<f64> {
     let by_perspective = perspective_per_px * lens_to_sensor;
-    let std_dev = by_perspective.abs().map(|x| (x * PUPIL).max(LEAST_GROWTH));
-    tilt_gradient
-        .map_or(by_perspective, |tilt_gradient| tilt_gradient.with(&by_perspective, &std_dev))
+    let Some(measured) = tilt_gradient else { return by_perspective };
+    Vector2::from_fn(|i, _| {
+        let (by_discs, by_perspective) = (measured.growth_per_px[i], by_perspective[i]);
+        // The perspective of a telecentric lens is 0 at any tilt, so the larger estimate states the scale.
+        let std_dev = (PUPIL * by_perspective.abs().max(by_discs.abs())).max(LEAST_GROWTH);
+        let weights = (measured.std_dev_per_px[i].powi(-2), std_dev.powi(-2));
+        (by_discs * weights.0 + by_perspective * weights.1) / (weights.0 + weights.1)
+    })
 }
 
 impl TiltGradient {
@@ -84,13 +90,32 @@ impl TiltGradient {
             ..*self
         }
     }
+}
 
-    /// Returns the weighted mean of this tilt gradient and another estimate of ∇ ln d with its σ.
-    #[must_use]
-    pub fn with(&self, other: &Vector2<f64>, std_dev: &Vector2<f64>) -> Vector2<f64> {
-        Vector2::from_fn(|i, _| {
-            let (own, others) = (self.std_dev_per_px[i].powi(-2), std_dev[i].powi(-2));
-            (self.growth_per_px[i] * own + other[i] * others) / (own + others)
-        })
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tilt_through_a_telecentric_lens_is_that_of_the_discs() {
+        let measured = TiltGradient {
+            growth_per_px: [1e-5, -2e-5],
+            std_dev_per_px: [4e-7; 2],
+            shared_per_px: [0.0; 2],
+            by_aperture_ratio_per_px: [0.0; 2],
+            by_aperture_ratio_squared_per_px: [0.0; 2],
+        };
+        // The distance from pupil to sensor is D + d, four times this, and infinite.
+        for (vergence, tolerance) in [(1.0, 1e-12), (0.25, 0.006), (0.0, 0.01)] {
+            let perspective = Vector2::new(1e-5, -2e-5) * vergence / 60.0;
+            let growth = growth_per_px(Some(&measured), &perspective, 60.0);
+            for (found, truth) in growth.iter().zip([1e-5, -2e-5]) {
+                assert!((found / truth - 1.0).abs() < tolerance, "{vergence}: {growth}");
+            }
+        }
+        // Poor white images leave the tilt to the perspective.
+        let poor = TiltGradient { std_dev_per_px: [1e-4; 2], ..measured };
+        let growth = growth_per_px(Some(&poor), &Vector2::new(2e-7, -4e-7), 60.0);
+        assert!((growth.x / 1.2e-5 - 1.0).abs() < 0.01, "{growth}");
     }
 }
