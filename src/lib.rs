@@ -102,9 +102,10 @@
 //! | Q₁ₘ | `q1_growth_per_mm2` | mm⁻² | growth of the distortion with the magnification (not in the paper) |
 //! | κ | `field_curvature_per_mm` | mm⁻¹ | curvature of the field (not in the paper) |
 //! | κ_m | `field_curvature_growth_per_mm` | mm⁻¹ | derivative of the curvature by the magnification (not in the paper) |
+//! | ω = (ωx, ωy) | `rotation_rad` of the main lens | rad | tilt of the optical axis against the normal of the sensor (not in the paper) |
 //! | P = (e_x, e_y, e_z) | `exit_pupil_mm` | mm | centre of the exit pupil (at 0 in the paper) |
 //! | e_r | `pupil_aberration_per_mm` | mm⁻¹ | spherical aberration of the exit pupil (not in the paper) |
-//! | (u₀, v₀) | `principal_point_px` | px | where the optical axis meets the sensor |
+//! | (u₀, v₀) | `principal_point_px` | px | O projected onto the sensor |
 //! | d | `mla_to_sensor_mm` | mm | array to sensor, at the middle of the array |
 //! | D | `lens_to_mla_mm` | mm | main lens to array, at the middle of the array |
 //! | θx θy θz | `rotation_rad` | rad | misalignment of the array |

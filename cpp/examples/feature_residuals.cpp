@@ -101,7 +101,8 @@ void add_centers(const ProblemFiles& files, Blocks* blocks, ceres::Problem* prob
   }
   if (centers.empty()) return;
   auto cost = CenterResiduals::create(centers, camera.pixel_size, files.options.centers_loss);
-  problem->AddResidualBlock(cost.release(), nullptr, blocks->pupil.data(), blocks->array.data());
+  problem->AddResidualBlock(cost.release(), nullptr, blocks->lens.data(), blocks->pupil.data(),
+                            blocks->array.data());
 }
 
 void add_prior(const Prior& prior, double weight, Blocks* blocks, ceres::Problem* problem) {

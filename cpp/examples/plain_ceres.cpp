@@ -9,7 +9,8 @@
 //
 // Lengths are in mm, angles in rad, image quantities in px; pixel (0, 0) is the centre of the
 // top-left pixel. Camera frame: origin O at the main-lens centre, z towards the scene, x right,
-// y down. The image is stored upright, so the pixel axes run against the camera axes:
+// y down. The optical axis is its z axis, turned by Ry(omega_y) Rx(omega_x). The image is stored
+// upright, so the pixel axes run against the camera axes:
 //     u = u0 - x/s,  v = v0 - y/s   for the point (x, y) of the sensor plane z = -(D + d).
 //
 //   g++ -O3 -std=c++17 plain_ceres.cpp -I/usr/include/eigen3 -lceres -lglog -o plain_ceres
@@ -60,6 +61,7 @@ The array has to be hexagonal with straight rows, and the board known (--board f
 
 // Parameter blocks. A pose is the angle-axis rotation and the translation of camera from board.
 enum MainLens { kF, kQ1, kQ2, kQ3, kQ1m, kP1, kP2, kKappa, kKappaM, kMainLensSize };
+enum Axis { kOmegaX, kOmegaY, kAxisSize };
 enum ExitPupil { kEx, kEy, kEz, kEr, kPupilSize };
 enum Sensor { kU0, kV0, kLittleD, kSensorSize };
 enum Mla { kThetaX, kThetaY, kThetaZ, kTx, kTy, kBigD, kMlaSize };
@@ -68,6 +70,7 @@ constexpr int kPoseSize = 6;
 
 struct Parameters {
   std::array<double, kMainLensSize> lens{};
+  std::array<double, kAxisSize> axis{};
   std::array<double, kPupilSize> pupil{};
   std::array<double, kSensorSize> sensor{};
   std::array<double, kMlaSize> mla{};
@@ -88,6 +91,7 @@ struct Parameters {
         names[name] = {block.data(), static_cast<int>(block.size()), index++};
     };
     add(lens, {"F", "Q1", "Q2", "Q3", "Q1_m", "P1", "P2", "kappa", "kappa_m"});
+    add(axis, {"omega_x", "omega_y"});
     add(pupil, {"e_x", "e_y", "e_z", "e_r"});
     add(sensor, {"u0", "v0", "d"});
     add(mla, {"theta_x", "theta_y", "theta_z", "t_x", "t_y", "D"});
@@ -129,20 +133,45 @@ void MicroLensCenter(const Eigen::Vector2d& g, const T* mla, const T* pitch, T C
   C[2] = -sy * x + cy * sx * y - mla[kBigD];
 }
 
+// Rotations about O from the camera frame to that of the main lens, and back.
+template <typename T>
+void ToLens(const T* axis, T v[3]) {
+  using std::cos;
+  using std::sin;
+  const T cx = cos(axis[kOmegaX]), sx = sin(axis[kOmegaX]);
+  const T cy = cos(axis[kOmegaY]), sy = sin(axis[kOmegaY]);
+  const T x = cy * v[0] - sy * v[2], z = sy * v[0] + cy * v[2];  // Ry'
+  const T y = v[1];
+  v[0] = x, v[1] = cx * y + sx * z, v[2] = cx * z - sx * y;  // Rx'
+}
+template <typename T>
+void FromLens(const T* axis, T v[3]) {
+  using std::cos;
+  using std::sin;
+  const T cx = cos(axis[kOmegaX]), sx = sin(axis[kOmegaX]);
+  const T cy = cos(axis[kOmegaY]), sy = sin(axis[kOmegaY]);
+  const T x = v[0], y = cx * v[1] - sx * v[2], z = sx * v[1] + cx * v[2];  // Rx
+  v[0] = cy * x + sy * z, v[1] = y, v[2] = cy * z - sy * x;                // Ry
+}
+
 // Micro-image centre: where the ray from the middle of the exit pupil through C meets the sensor.
 struct CenterResidual {
   Eigen::Vector2d g;
   double u, v, std_dev, pixel_size;
 
   template <typename T>
-  bool operator()(const T* pupil, const T* sensor, const T* mla, const T* pitch,
+  bool operator()(const T* axis, const T* pupil, const T* sensor, const T* mla, const T* pitch,
                   T* residual) const {
     T C[3];
     MicroLensCenter(g, mla, pitch, C);
-    const T cx = C[0] - pupil[kEx], cy = C[1] - pupil[kEy];
-    const T ez = pupil[kEz] + pupil[kEr] * (cx * cx + cy * cy);  // the pupil is aberrated
-    const T scale = (mla[kBigD] + sensor[kLittleD] + ez) / (ez - C[2]);
-    const T x = pupil[kEx] + scale * cx, y = pupil[kEy] + scale * cy;
+    T c[3] = {C[0], C[1], C[2]};
+    ToLens(axis, c);
+    c[0] -= pupil[kEx], c[1] -= pupil[kEy];
+    const T ez = pupil[kEz] + pupil[kEr] * (c[0] * c[0] + c[1] * c[1]);  // the pupil is aberrated
+    T P[3] = {pupil[kEx], pupil[kEy], ez};
+    FromLens(axis, P);
+    const T scale = (mla[kBigD] + sensor[kLittleD] + P[2]) / (P[2] - C[2]);
+    const T x = P[0] + scale * (C[0] - P[0]), y = P[1] + scale * (C[1] - P[1]);
     residual[0] = (sensor[kU0] - x / pixel_size - u) / std_dev;
     residual[1] = (sensor[kV0] - y / pixel_size - v) / std_dev;
     return true;
@@ -161,13 +190,14 @@ struct FeatureResidual {
   double pixel_size;
 
   template <typename T>
-  bool operator()(const T* lens, const T* sensor, const T* mla, const T* pitch, const T* f,
-                  const T* pose, T* residual) const {
+  bool operator()(const T* lens, const T* axis, const T* sensor, const T* mla, const T* pitch,
+                  const T* f, const T* pose, T* residual) const {
     using std::sqrt;
     const T p_w[3] = {T(board_point.x()), T(board_point.y()), T(board_point.z())};
     T p[3];
     ceres::AngleAxisRotatePoint(pose, p_w, p);  // p_c = R p_w + t
     for (int i = 0; i < 3; ++i) p[i] += pose[3 + i];
+    ToLens(axis, p);
 
     const T m = -lens[kF] / (p[2] - lens[kF]);  // thin lens: p' = -F/(z_c - F) p_c
     const T x = m * p[0], y = m * p[1];
@@ -177,16 +207,20 @@ struct FeatureResidual {
     // Brown-Conrady distortion of (x', y') in mm.
     const T *Q = lens + kQ1, *P = lens + kP1;
     const T radial = r2 * (Q[0] - lens[kQ1m] * m + r2 * (Q[1] + r2 * Q[2]));
-    const T xd = x + x * radial + P[0] * (r2 + 2.0 * x * x) + 2.0 * P[1] * x * y;
-    const T yd = y + y * radial + P[1] * (r2 + 2.0 * y * y) + 2.0 * P[0] * x * y;
+    T image[3] = {T(0.0), T(0.0), z};
+    image[0] = x + x * radial + P[0] * (r2 + 2.0 * x * x) + 2.0 * P[1] * x * y;
+    image[1] = y + y * radial + P[1] * (r2 + 2.0 * y * y) + 2.0 * P[0] * x * y;
+    FromLens(axis, image);
 
     // Where the ray from C through p' meets the sensor plane z = -(D + d).
     T C[3];
     MicroLensCenter(g, mla, pitch, C);
-    const T a = z - C[2];                                  // micro-lens to p'
+    const T a = image[2] - C[2];                           // micro-lens to p'
     const T delta = C[2] + mla[kBigD] + sensor[kLittleD];  // micro-lens to sensor
-    residual[0] = (sensor[kU0] - (C[0] - delta / a * (xd - C[0])) / pixel_size - u) / std_dev[0];
-    residual[1] = (sensor[kV0] - (C[1] - delta / a * (yd - C[1])) / pixel_size - v) / std_dev[1];
+    residual[0] =
+        (sensor[kU0] - (C[0] - delta / a * (image[0] - C[0])) / pixel_size - u) / std_dev[0];
+    residual[1] =
+        (sensor[kV0] - (C[1] - delta / a * (image[1] - C[1])) / pixel_size - v) / std_dev[1];
     if constexpr (kRho) {
       // Blur radius: rho = dC/(2s) delta (1/f_i - 1/a - 1/delta).
       const T dC = pitch[kPitch] * sqrt(pitch[kRatio]);
@@ -296,6 +330,7 @@ void ReadStart(const Json& camera, const Json& poses, Lattice* lattice, Paramete
              lens.at("p2_per_mm"),
              lens.at("field_curvature_per_mm"),
              lens.at("field_curvature_growth_per_mm")};
+  p->axis = lens.value("rotation_rad", std::array<double, 2>{});
   const auto pupil = lens.at("exit_pupil_mm").get<std::array<double, 3>>();
   p->pupil = {pupil[0], pupil[1], pupil[2], lens.value("pupil_aberration_per_mm", 0.0)};
   const Json &c = camera.at("principal_point_px"), &t = array.at("offset_mm");
@@ -318,8 +353,8 @@ template <bool kRho>
 void AddFeatures(const std::string& path, const Lattice& lattice, double pixel_size,
                  ceres::LossFunction* loss, Parameters* p, ceres::Problem* problem) {
   using Residual = FeatureResidual<kRho>;
-  using Cost = ceres::AutoDiffCostFunction<Residual, Residual::kSize, kMainLensSize, kSensorSize,
-                                           kMlaSize, kPitchSize, 1, kPoseSize>;
+  using Cost = ceres::AutoDiffCostFunction<Residual, Residual::kSize, kMainLensSize, kAxisSize,
+                                           kSensorSize, kMlaSize, kPitchSize, 1, kPoseSize>;
   for (const auto& row : ReadCsv(path)) {
     const int k = static_cast<int>(row.at("k")), l = static_cast<int>(row.at("l"));
     const int type = lattice.Type(k, l, static_cast<int>(p->f.size()));
@@ -331,22 +366,22 @@ void AddFeatures(const std::string& path, const Lattice& lattice, double pixel_s
                      kRho ? row.at("rho") : 0.0,
                      {row.at("std_u"), row.at("std_v"), kRho ? row.at("std_rho") : 1.0},
                      pixel_size};
-    problem->AddResidualBlock(new Cost(residual), loss, p->lens.data(), p->sensor.data(),
-                              p->mla.data(), p->pitch.data(), &p->f[type],
+    problem->AddResidualBlock(new Cost(residual), loss, p->lens.data(), p->axis.data(),
+                              p->sensor.data(), p->mla.data(), p->pitch.data(), &p->f[type],
                               p->poses.at(static_cast<int>(row.at("frame"))).data());
   }
 }
 
 void AddCenters(const std::string& path, const Lattice& lattice, double pixel_size,
                 ceres::LossFunction* loss, Parameters* p, ceres::Problem* problem) {
-  using Cost =
-      ceres::AutoDiffCostFunction<CenterResidual, 2, kPupilSize, kSensorSize, kMlaSize, kPitchSize>;
+  using Cost = ceres::AutoDiffCostFunction<CenterResidual, 2, kAxisSize, kPupilSize, kSensorSize,
+                                           kMlaSize, kPitchSize>;
   for (const auto& row : ReadCsv(path)) {
     const int k = static_cast<int>(row.at("k")), l = static_cast<int>(row.at("l"));
     auto* residual = new CenterResidual{lattice.Node(k, l), row.at("u"), row.at("v"),
                                         row.at("std_dev"), pixel_size};
-    problem->AddResidualBlock(new Cost(residual), loss, p->pupil.data(), p->sensor.data(),
-                              p->mla.data(), p->pitch.data());
+    problem->AddResidualBlock(new Cost(residual), loss, p->axis.data(), p->pupil.data(),
+                              p->sensor.data(), p->mla.data(), p->pitch.data());
   }
 }
 
@@ -440,6 +475,7 @@ Json CameraJson(Json camera, bool converged, const Parameters& p) {
                          "field_curvature_per_mm",
                          "field_curvature_growth_per_mm"};
   for (int i = 0; i < kMainLensSize; ++i) lens[names[i]] = p.lens[i];
+  lens["rotation_rad"] = {p.axis[kOmegaX], p.axis[kOmegaY]};
   lens["exit_pupil_mm"] = {p.pupil[kEx], p.pupil[kEy], p.pupil[kEz]};
   lens["pupil_aberration_per_mm"] = p.pupil[kEr];
   camera["principal_point_px"] = {p.sensor[kU0], p.sensor[kV0]};

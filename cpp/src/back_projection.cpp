@@ -207,6 +207,7 @@ void require_std_devs(const VirtualPoint& seen) {
 BackProjection::BackProjection(const Camera& camera)
     : camera_((validate(camera), camera)),
       optics_(optics_of(camera_)),
+      frame_(camera_.main_lens),
       radius_(0.5 * optics_.array.micro_image_pitch(camera_.exit_pupil)),
       origin_(optics_.array.micro_lens_center({0.0, 0.0})),
       step_x_(difference(optics_.array.micro_lens_center({1.0, 0.0}), origin_)),
@@ -229,7 +230,8 @@ std::optional<MicroImage> BackProjection::micro_image_at(const Pixel<double>& pi
   Vector3<double> on_array = on_sensor;
   double along = 0.0;
   for (int i = 0; i < 2; ++i) {
-    const Vector3<double> pupil = camera_.exit_pupil.seen_from(on_array);
+    const Vector3<double> pupil =
+        frame_.to_camera(camera_.exit_pupil.seen_from(frame_.of_camera(on_array)));
     const Vector3<double> ray = difference(on_sensor, pupil);
     along = dot(normal_, difference(origin_, pupil)) / dot(normal_, ray);
     on_array = {pupil.x + along * ray.x, pupil.y + along * ray.y, pupil.z + along * ray.z};
@@ -241,7 +243,7 @@ std::optional<MicroImage> BackProjection::micro_image_at(const Pixel<double>& pi
   const auto [k, l] = camera_.lattice.nearest(node);
   if (!camera_.lattice.contains(k, l)) return std::nullopt;
   const Pixel<double> center =
-      optics_.array.micro_image_center(camera_.exit_pupil, camera_.lattice.node(k, l));
+      optics_.array.micro_image_center(frame_, camera_.exit_pupil, camera_.lattice.node(k, l));
   const double u = pixel.u - center.u, v = pixel.v - center.v;
   return MicroImage{k, l, center, std::sqrt(u * u + v * v)};
 }

@@ -53,27 +53,32 @@ void validate(const Camera& camera) {
                  "in front of the rear focal point");
 }
 
+std::optional<Vector3<double>> unfolded_image(const MainLens<double>& lens,
+                                              const Vector3<double>& point) {
+  const LensFrame<double> frame(lens);
+  const Vector3<double> from_lens = frame.of_camera(point);
+  const auto image = image_along_axis(lens, from_lens);
+  if (!image) return std::nullopt;
+  const double magnification = -lens.focal_length / (from_lens.z - lens.focal_length);
+  const auto ideal = undistort(lens, Magnification(magnification), {image->x, image->y});
+  if (!ideal) return std::nullopt;
+  const double off =
+      std::hypot(ideal->x - magnification * from_lens.x, ideal->y - magnification * from_lens.y);
+  constexpr double kSame = 1e-6;
+  if (!(off <= kSame * std::max(1.0, std::hypot(ideal->x, ideal->y)))) return std::nullopt;
+  return frame.to_camera(*image);
+}
+
 std::optional<Feature<double>> project(const Camera& camera, const Pose& camera_from_board,
                                        const Vector3<double>& board_point, int k, int l) {
   validate(camera);
   if (!camera.lattice.contains(k, l)) return std::nullopt;
   const Motion<double> motion(pose_block(camera_from_board).data());
-  const Optics<double> optics = optics_of(camera);
   const Vector3<double> point = motion(board_point);
   if (!std::isfinite(point.z)) return std::nullopt;
-  const auto image = main_lens_image(optics.main_lens, point);
+  const auto image = unfolded_image(camera.main_lens, point);
   if (!image) return std::nullopt;
-  const double magnification =
-      -camera.main_lens.focal_length / (point.z - camera.main_lens.focal_length);
-  const auto ideal =
-      undistort(optics.main_lens, Magnification(magnification), {image->x, image->y});
-  if (!ideal) return std::nullopt;
-  // A point that distortion folds back into the image is the image of another point.
-  const double off =
-      std::hypot(ideal->x - magnification * point.x, ideal->y - magnification * point.y);
-  constexpr double kSame = 1e-6;
-  if (!(off <= kSame * std::max(1.0, std::hypot(ideal->x, ideal->y)))) return std::nullopt;
-  const auto feature = project_image(optics, *image, micro_lens_of(camera, k, l));
+  const auto feature = project_image(optics_of(camera), *image, micro_lens_of(camera, k, l));
   if (!feature || !std::isfinite(feature->u) || !std::isfinite(feature->v)) return std::nullopt;
   return feature;
 }
@@ -81,7 +86,8 @@ std::optional<Feature<double>> project(const Camera& camera, const Pose& camera_
 Pixel<double> project_center(const Camera& camera, int k, int l) {
   validate(camera);
   const ArrayOptics<double> optics(camera.mla, camera.pixel_size);
-  return optics.micro_image_center(camera.exit_pupil, camera.lattice.node(k, l));
+  return optics.micro_image_center(LensFrame<double>(camera.main_lens), camera.exit_pupil,
+                                   camera.lattice.node(k, l));
 }
 
 }  // namespace plenocal

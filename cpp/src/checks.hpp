@@ -1,4 +1,4 @@
-// Checks of callers' input: std::invalid_argument with the reason.
+// Checks of callers' input: std::invalid_argument with the reason, or no value.
 #pragma once
 
 #include <cmath>
@@ -30,6 +30,11 @@ void require_size(const Board& board);
 /// everything is checked before it is passed on.
 void validate_problem(const Camera& camera, const std::vector<Pose>& poses,
                       const Observations& observations, const CostOptions& options);
+
+/// Returns p' like `main_lens_image`; no value for a point that distortion folds back into the
+/// image, where another point has its image.
+std::optional<Vector3<double>> unfolded_image(const MainLens<double>& lens,
+                                              const Vector3<double>& point);
 
 /// Checks a further camera of a rig, whose first camera has `poses` poses.
 void validate_camera_of_rig(const Camera& camera, const Pose& camera_from_first, std::size_t poses,

@@ -137,7 +137,7 @@ void LeastSquares::add_centers(const Observations& observations, const CostOptio
     }
     auto cost =
         CenterResiduals::create(std::move(weighted), frame_.pixel_size, options.centers_loss);
-    add_block(std::move(cost), {exit_pupil_.data(), array_.data()});
+    add_block(std::move(cost), {lens_.data(), exit_pupil_.data(), array_.data()});
   }
 }
 

@@ -44,7 +44,7 @@ class Sight {
   Sight(const Camera& camera, const ArrayOptics<double>& array, const Vector3<double>& image,
         double radius_px)
       : image_(difference(image, pupil(camera))),
-        sensor_z_(-(camera.mla.lens_to_mla + camera.mla.mla_to_sensor) - camera.exit_pupil.z),
+        sensor_z_(array.sensor_z() - pupil(camera).z),
         radius_mm_(radius_px * camera.pixel_size),
         origin_(difference(array.micro_lens_center({0.0, 0.0}), pupil(camera))),
         step_x_(
@@ -76,7 +76,7 @@ class Sight {
 
   static Vector3<double> pupil(const Camera& camera) {
     const ExitPupil<double>& pupil = camera.exit_pupil;
-    return {pupil.x, pupil.y, pupil.z};
+    return LensFrame<double>(camera.main_lens).to_camera({pupil.x, pupil.y, pupil.z});
   }
 
   static double farthest(const Interval& z, double from) {
@@ -110,14 +110,15 @@ constexpr double kShift = 0.51;
 // Returns the largest shift of micro-image centres by the aberration of the pupil, px: at a corner
 // of the array, since it grows with the distance from the axis.
 double largest_center_shift(const Camera& camera, const ArrayOptics<double>& array) {
+  const LensFrame<double> frame(camera.main_lens);
   ExitPupil<double> paraxial = camera.exit_pupil;
   paraxial.aberration = 0.0;
   double largest = 0.0;
   for (int k : {0, camera.lattice.columns - 1}) {
     for (int l : {0, camera.lattice.rows - 1}) {
       const Node node = camera.lattice.node(k, l);
-      const Pixel<double> center = array.micro_image_center(camera.exit_pupil, node);
-      const Pixel<double> without = array.micro_image_center(paraxial, node);
+      const Pixel<double> center = array.micro_image_center(frame, camera.exit_pupil, node);
+      const Pixel<double> without = array.micro_image_center(frame, paraxial, node);
       largest = std::max(largest, std::hypot(center.u - without.u, center.v - without.v));
     }
   }
@@ -232,9 +233,10 @@ std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camera, const Vect
   }
   const Optics<double> optics = optics_of(camera);
   const double radius = 0.5 * optics.array.micro_image_pitch(camera.exit_pupil) - margin;
-  const auto image = main_lens_image(optics.main_lens, point);
+  const auto image = unfolded_image(optics.main_lens, point);
   if (radius < 0.0 || !image || !is_finite(*image)) return {};
 
+  const LensFrame<double> frame(camera.main_lens);
   const Lattice& lattice = camera.lattice;
   const Sight sight(camera, optics.array, *image,
                     radius + largest_center_shift(camera, optics.array));
@@ -250,7 +252,7 @@ std::vector<MicroLensIndex> micro_lenses_seeing(const Camera& camera, const Vect
       const auto feature = project_image(optics, *image, micro_lens);
       if (!feature) continue;
       const Pixel<double> center =
-          optics.array.micro_image_center(camera.exit_pupil, micro_lens.node);
+          optics.array.micro_image_center(frame, camera.exit_pupil, micro_lens.node);
       if (std::hypot(feature->u - center.u, feature->v - center.v) <= radius) seeing.push_back(i);
     }
   }

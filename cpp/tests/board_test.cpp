@@ -198,7 +198,7 @@ TEST(BoardShape, FreeParametersAreCountedAfterTheIntrinsics) {
   EXPECT_EQ(u.rank, u.size);
   ASSERT_EQ(u.free_intrinsics.size(), 22U);
   EXPECT_EQ(std::vector<int>(u.free_intrinsics.end() - 3, u.free_intrinsics.end()),
-            (std::vector<int>{27, 28, 30}));
+            (std::vector<int>{29, 30, 32}));
   const auto information =
       frame_information(result.camera, result.poses, scene.observations, options);
   EXPECT_EQ(information.size(), 7U);

@@ -811,14 +811,14 @@ INSTANTIATE_TEST_SUITE_P(
             [] { return read_with("\"matrix\": \\[", "\"matrix\": [], \"other\": ["); },
             "refused: there is no uncertainty.correlations.matrix[0]"},
         Use{"WriteTooFewSigma", [] { return written_with([](auto* f) { f->std_dev.resize(3); }); },
-            "refused: the camera has 27 parameters, but 3 standard deviations"},
+            "refused: the camera has 29 parameters, but 3 standard deviations"},
         Use{"WriteNegativeSigma", [] { return written_with([](auto* f) { f->std_dev[4] = -1; }); },
             "refused: a standard deviation of the camera is -1"},
         Use{"WriteSmallCovariance",
             [] { return written_with([](auto* f) {
                    f->covariance = {2, 2, {1, 0, 0, 1}};
                  }); },
-            "refused: the covariance of the camera is 2 x 2, but 27 parameters"},
+            "refused: the covariance of the camera is 2 x 2, but 29 parameters"},
         Use{"WriteCutCovariance",
             [] { return written_with([](auto* f) { f->covariance.values.resize(5); }); },
             "refused: the covariance of the camera"},

@@ -208,7 +208,7 @@ TEST(PointSensitivity, RhoOfPinholesNeedsNoStdDev) {
 void expect_undetermined(const PointSensitivity& s, int micro_lenses) {
   const auto is_nan = [](double value) { return std::isnan(value); };
   EXPECT_EQ(s.micro_lenses, micro_lenses);
-  EXPECT_EQ(s.by_intrinsics.values.size(), 3U * 25U);
+  EXPECT_EQ(s.by_intrinsics.values.size(), 3U * 27U);
   EXPECT_TRUE(s.by_intrinsics.eigen().array().isNaN().all());
   EXPECT_TRUE(std::all_of(s.covariance.begin(), s.covariance.end(), is_nan));
 }

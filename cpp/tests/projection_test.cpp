@@ -152,7 +152,7 @@ TEST(Projection, DistortionMovesTheImageOfTheMainLens) {
   //    = -0.3014988375 - 0.00126 + 0.00108 = -0.3016788375
   // The micro-lens in the middle halves them.
   Camera camera = simple_camera();
-  camera.main_lens = {50.0, {0.01, 0.002, 0.001}, 0.0, {0.003, -0.002}, 0.0, 0.0};
+  camera.main_lens = {50.0, {0.01, 0.002, 0.001}, 0.0, {0.003, -0.002}, 0.0, 0.0, {0.0, 0.0}};
   expect_feature(seen(camera, at_distance(300), {3, 1.5, 0}, 2, 2), 130.01038375, 95.083941875, 0);
 }
 
@@ -255,6 +255,45 @@ TEST(Projection, CurvedFieldMovesImagesTowardsTheLens) {
   image = main_lens_image(lens, {3.0, 1.5, 300.0});
   ASSERT_TRUE(image);
   EXPECT_NEAR(image->z, -59.775, kRounding);
+}
+
+TEST(Projection, TiltedLensImagesAlongItsAxis) {
+  // The axis is turned by Ry(0.5): it points along (sin 0.5, 0, cos 0.5). A point on it at 300 mm
+  // is imaged on it at -60 mm.
+  MainLens<double> lens{};
+  lens.focal_length = 50.0;
+  lens.rotation[1] = 0.5;
+  const double sine = std::sin(0.5), cosine = std::cos(0.5);
+  auto image = main_lens_image(lens, {300.0 * sine, 0.0, 300.0 * cosine});
+  ASSERT_TRUE(image);
+  EXPECT_NEAR(image->x, -60.0 * sine, kRounding);
+  EXPECT_NEAR(image->y, 0.0, kRounding);
+  EXPECT_NEAR(image->z, -60.0 * cosine, kRounding);
+  // By Scheimpflug's rule, the plane z = 300 and its image meet in the plane of the lens: at
+  // x = 300 cot 0.5. The image of (0, 0, 300) is at -50/(300 cos 0.5 - 50) times 300.
+  image = main_lens_image(lens, {0.0, 0.0, 300.0});
+  ASSERT_TRUE(image);
+  const auto other = main_lens_image(lens, {-10.0, 0.0, 300.0});
+  ASSERT_TRUE(other);
+  EXPECT_NEAR(image->z, -15000.0 / (300.0 * cosine - 50.0), kRounding);
+  const double slope = (other->z - image->z) / (other->x - image->x);
+  const double x = 300.0 * cosine / sine;
+  EXPECT_NEAR(image->z + slope * (-x - image->x), 300.0, 1e-9);
+  // With both angles, (0, 0, 1) of the lens frame is (sin y cos x, -sin x, cos y cos x).
+  lens.rotation[0] = 0.2;
+  const Vector3<double> axis = LensFrame<double>(lens).to_camera({0.0, 0.0, 1.0});
+  EXPECT_NEAR(axis.x, sine * std::cos(0.2), kRounding);
+  EXPECT_NEAR(axis.y, -std::sin(0.2), kRounding);
+  EXPECT_NEAR(axis.z, cosine * std::cos(0.2), kRounding);
+}
+
+TEST(Projection, PupilLiesOnTheAxisOfATiltedLens) {
+  // 10 mm behind O on the axis, it is at (-6, 0, -8): (3, 2) at C = (-0.2, 0, -59), the sensor at
+  // z = -59.5. x = -6 + 5.8 * 51.5/51.
+  Camera camera = simple_camera();
+  camera.exit_pupil = {0.0, 0.0, -10.0, 0.0};
+  camera.main_lens.rotation[1] = std::asin(0.6);
+  expect_pixel(project_center(camera, 3, 2), 100.0 + 100.0 * (6.0 - 5.8 * 51.5 / 51.0), 80.0);
 }
 
 TEST(Projection, IndicesGrowWithThePixels) {

@@ -140,9 +140,10 @@ TEST(CenterResiduals, ByHand) {
                                              {node, {85.8728813559322, 88.2336460211998}, 4.0},
                                              {node, {85.8728813559322, 88.2336460211998}, 0.5}},
                                             0.01, {});
+  const auto lens = to_block(camera.main_lens);
   const auto pupil = to_block(camera.exit_pupil);
   const auto array = to_block(camera.mla);
-  const auto residuals = evaluate(*cost, {pupil.data(), array.data()});
+  const auto residuals = evaluate(*cost, {lens.data(), pupil.data(), array.data()});
   const double expected[] = {0, 0, -4, 2, -0.5, 0.25};
   for (int i = 0; i < 6; ++i) EXPECT_NEAR(residuals[i], expected[i], kRounding) << i;
 }
@@ -274,12 +275,13 @@ TEST(Gradients, Centers) {
     test::RandomObservations random(seed);
     const Camera camera = random.camera(3);
     const auto centers = random.centers(camera, 6);
+    const auto lens = to_block(camera.main_lens);
     const auto pupil = to_block(camera.exit_pupil);
     const auto array = to_block(camera.mla);
     for (LossKind loss : kLosses) {
       SCOPED_TRACE(testing::Message() << "seed " << seed << " loss " << static_cast<int>(loss));
       const auto cost = CenterResiduals::create(centers, camera.pixel_size, {loss, 1.0});
-      expect_gradients(*cost, {pupil.data(), array.data()});
+      expect_gradients(*cost, {lens.data(), pupil.data(), array.data()});
     }
   }
 }
@@ -332,15 +334,16 @@ TEST(Grouping, DoesNotChangeCenters) {
   test::RandomObservations random(8);
   const Camera camera = random.camera(3);
   const auto centers = random.centers(camera, 8);
+  const auto lens = to_block(camera.main_lens);
   const auto pupil = to_block(camera.exit_pupil);
   const auto array = to_block(camera.mla);
   for (LossKind kind : kLosses) {
     const Loss loss{kind, 1.0};
     const auto group = evaluate(*CenterResiduals::create(centers, camera.pixel_size, loss),
-                                {pupil.data(), array.data()});
+                                {lens.data(), pupil.data(), array.data()});
     for (std::size_t i = 0; i < centers.size(); ++i) {
       const auto alone = evaluate(*CenterResiduals::create({centers[i]}, camera.pixel_size, loss),
-                                  {pupil.data(), array.data()});
+                                  {lens.data(), pupil.data(), array.data()});
       for (int j = 0; j < 2; ++j) EXPECT_DOUBLE_EQ(group[2 * i + j], alone[j]);
     }
   }

@@ -30,7 +30,8 @@ inline Camera scene_camera(int types) {
   Camera camera;
   camera.lattice = {Packing::kHexagonalRowsEven, 20, 18};
   camera.pixel_size = 0.0055;
-  camera.main_lens = {50.0, {0.02, -0.005, 0.002}, 0.01, {0.001, -0.002}, 0.004, 0.01};
+  camera.main_lens = {50.0, {0.02, -0.005, 0.002}, 0.01, {0.001, -0.002}, 0.004,
+                      0.01, {0.006, -0.004}};
   camera.exit_pupil = {0.3, -0.2, -5.0, 0.1};
   camera.mla = {{231.5, 182.25}, 0.3186, {0.004, -0.003, 0.002}, {0.011, -0.007}, 56.6576,
                 0.127505,        1.0};
@@ -123,8 +124,8 @@ inline std::set<std::string> with_shape(std::set<std::string> names) {
 }
 
 /// Parameters that the paper's model does not have.
-inline const std::set<std::string> kBeyondThePaper =
-    with_shape({"Q1_m", "kappa", "kappa_m", "e_x", "e_y", "e_z", "e_r", "dC_ratio"});
+inline const std::set<std::string> kBeyondThePaper = with_shape(
+    {"Q1_m", "kappa", "kappa_m", "omega_x", "omega_y", "e_x", "e_y", "e_z", "e_r", "dC_ratio"});
 
 /// Only what is free in the paper's model is.
 inline CostOptions paper() {

@@ -113,10 +113,10 @@ Eigen::MatrixXd ceres_covariance(const Scene& scene, const CostOptions& options)
   for (const CenterObservation& o : scene.observations.centers) {
     auto cost = CenterResiduals::create(
         {{lattice.node(o.k, o.l), o.observed, 1.0 / options.centers_std_dev}}, s, {});
-    problem.AddResidualBlock(cost.release(), nullptr, pupil.data(), array.data());
+    problem.AddResidualBlock(cost.release(), nullptr, lens.data(), pupil.data(), array.data());
   }
   problem.SetManifold(lens.data(),
-                      new ceres::SubsetManifold(9, {4, 7, 8}));  // no growth, a flat field
+                      new ceres::SubsetManifold(11, {4, 7, 8, 9, 10}));    // as in the paper
   problem.SetManifold(array.data(), new ceres::SubsetManifold(11, {10}));  // dC_ratio fixed
   problem.SetParameterBlockConstant(pupil.data());
 
@@ -245,6 +245,7 @@ Scene fronto_parallel() {
   scene.camera.mla.rotation = {0.0, 0.0, 0.0};
   scene.camera.main_lens.field_curvature = 0.0;
   scene.camera.main_lens.field_curvature_growth = 0.0;
+  scene.camera.main_lens.rotation[0] = scene.camera.main_lens.rotation[1] = 0.0;
   scene.observations = test::observe(scene.camera, scene.poses);
   test::add_noise(0.1, 0.05, 0.02, 31, &scene.observations);
   return scene;

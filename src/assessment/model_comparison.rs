@@ -33,6 +33,8 @@ pub enum Group {
     FieldCurvature,
     /// Growth of field curvature (κ_m) and distortion (Q₁ₘ) with the magnification.
     Growth,
+    /// Tilt of the main lens, ωx and ωy.
+    LensTilt,
     /// Radial distortion, Q₁ to Q₃ and Q₁ₘ.
     RadialDistortion,
     /// Tangential distortion, P₁ and P₂.
@@ -43,10 +45,11 @@ pub enum Group {
 
 impl Group {
     /// All groups.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::ExitPupil,
         Self::FieldCurvature,
         Self::Growth,
+        Self::LensTilt,
         Self::RadialDistortion,
         Self::TangentialDistortion,
         Self::BoardShape,
@@ -60,6 +63,7 @@ impl Group {
             Self::ExitPupil => &[P::PupilZ, P::PupilAberration],
             Self::FieldCurvature => &[P::FieldCurvature, P::FieldCurvatureGrowth],
             Self::Growth => &[P::FieldCurvatureGrowth, P::Radial1Growth],
+            Self::LensTilt => &[P::LensRotationX, P::LensRotationY],
             Self::RadialDistortion => &[P::Radial1, P::Radial2, P::Radial3, P::Radial1Growth],
             Self::TangentialDistortion => &[P::Tangential1, P::Tangential2],
             Self::BoardShape => &P::SHAPE,
@@ -73,6 +77,7 @@ impl fmt::Display for Group {
             Self::ExitPupil => "exit pupil",
             Self::FieldCurvature => "field curvature",
             Self::Growth => "growth with the magnification",
+            Self::LensTilt => "tilt of the main lens",
             Self::RadialDistortion => "radial distortion",
             Self::TangentialDistortion => "tangential distortion",
             Self::BoardShape => "shape of the board",

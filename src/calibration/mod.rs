@@ -26,8 +26,8 @@ pub use board::{BoardResult, Effort, Trial};
 pub use frames::LeftOut;
 pub use initial::initial_camera;
 pub use options::{
-    Blur, BoardModel, CalibrationOptions, Distortion, ExitPupil, FieldCurvature, Method, Mode,
-    NoPrior, Pitches, Priors, StatedPrior, Weights, frame_list,
+    Blur, BoardModel, CalibrationOptions, Distortion, ExitPupil, FieldCurvature, LensTilt, Method,
+    Mode, NoPrior, Pitches, Priors, StatedPrior, Weights, frame_list,
 };
 pub use outlying::OutlyingFeature;
 pub use poses::initial_poses;

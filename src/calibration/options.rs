@@ -89,6 +89,17 @@ pub enum Distortion {
     Constant,
 }
 
+/// Angle between the optical axis and the normal of the sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum LensTilt {
+    /// Estimated.
+    #[default]
+    Estimated,
+    /// None (the paper).
+    None,
+}
+
 /// Curvature of the field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
@@ -305,6 +316,9 @@ pub struct CalibrationOptions {
     /// Radial distortion over distance [default: estimated].
     #[arg(long)]
     pub distortion: Distortion,
+    /// Tilt of the optical axis against the normal of the sensor [default: estimated].
+    #[arg(long)]
+    pub lens_tilt: LensTilt,
     /// Curvature of the images of a plane [default: estimated].
     #[arg(long)]
     pub field_curvature: FieldCurvature,
@@ -312,7 +326,7 @@ pub struct CalibrationOptions {
     #[arg(long)]
     pub board: BoardModel,
     /// Parameters that keep their initial value, e.g. F,Q3. The parameters are F, Q1 to Q3, Q1_m, P1, P2, kappa, kappa_m,
-    /// e_z, e_r, u0, v0, d, theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect.
+    /// omega_x, omega_y, e_z, e_r, u0, v0, d, theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect.
     /// (e_x and e_y are 0 unless they have a prior, and dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub fix: Vec<Parameter>,
@@ -371,6 +385,7 @@ impl Default for CalibrationOptions {
             pitches: Pitches::default(),
             exit_pupil: ExitPupil::default(),
             distortion: Distortion::default(),
+            lens_tilt: LensTilt::default(),
             field_curvature: FieldCurvature::default(),
             board: BoardModel::default(),
             fix: Vec::new(),
@@ -394,11 +409,14 @@ impl Default for CalibrationOptions {
 /// Parameters of effects that move features and centres by a few tenths of a pixel. Errors of other origin would act on them.
 pub(super) const SMALL_TERMS: [Parameter; 2] =
     [Parameter::Radial1Growth, Parameter::PupilAberration];
+/// Tilt of the main lens.
+pub(super) const LENS_TILT: [Parameter; 2] = [Parameter::LensRotationX, Parameter::LensRotationY];
 
 /// Method of the paper, as `[calibration]` of a project file would state it.
 const PAPER: &str = "
 exit_pupil = \"at-lens\"
 distortion = \"constant\"
+lens_tilt = \"none\"
 field_curvature = \"flat\"
 board = \"flat\"
 blur = \"features\"
@@ -409,7 +427,7 @@ priors.default = false
 
 impl CalibrationOptions {
     /// Returns the options for the calibration of the paper: every observation has the same weight, no loss, no priors,
-    /// the exit pupil in the lens, constant distortion, a flat field, f from ρ, a flat board.
+    /// the exit pupil in the lens, constant distortion, a lens without tilt, a flat field, f from ρ, a flat board.
     // The text is constant.
     #[allow(clippy::missing_panics_doc)]
     #[must_use]
@@ -502,6 +520,8 @@ impl CalibrationOptions {
             (Parameter::PupilZ, matches!(self.exit_pupil, ExitPupil::At(_))),
             (Parameter::PupilAberration, self.exit_pupil == ExitPupil::AT_LENS),
             (Parameter::Radial1Growth, self.distortion == Distortion::Constant),
+            (Parameter::LensRotationX, self.lens_tilt == LensTilt::None),
+            (Parameter::LensRotationY, self.lens_tilt == LensTilt::None),
             (Parameter::FieldCurvature, self.field_curvature == FieldCurvature::Flat),
             (Parameter::FieldCurvatureGrowth, self.field_curvature != FieldCurvature::Estimated),
             // Images alone hardly determine these, so they are free only if they have a prior.
@@ -564,6 +584,7 @@ impl CalibrationOptions {
             exit_pupil: ExitPupil::Estimated,
             field_curvature: FieldCurvature::Estimated,
             distortion: Distortion::Estimated,
+            lens_tilt: LensTilt::Estimated,
             priors: Priors { default: self.priors.default, ..Priors::default() },
             ..self.clone()
         }
@@ -609,11 +630,12 @@ impl CalibrationOptions {
         }
         let stated = self.exit_pupil != ExitPupil::Estimated
             || self.distortion != Distortion::Estimated
+            || self.lens_tilt != LensTilt::Estimated
             || self.field_curvature != FieldCurvature::Estimated;
         if self.mode == Mode::PosesOnly && stated {
             return Err(Error::invalid(
-                "the camera is fixed if only poses are estimated: leave out its exit pupil, distortion \
-                 and field curvature (exit_pupil, distortion, field_curvature)",
+                "the camera is fixed if only poses are estimated: leave out its exit pupil, distortion, \
+                 tilt and field curvature (exit_pupil, distortion, lens_tilt, field_curvature)",
             ));
         }
         if self.mode == Mode::PosesOnly && self.board == BoardModel::Bent {

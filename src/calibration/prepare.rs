@@ -10,8 +10,8 @@ use crate::calibration::focus::refocused;
 use crate::calibration::frames::{Frames, given_frames, initial_frames};
 use crate::calibration::priors::check_priors;
 use crate::calibration::{
-    BlurMeasurement, CalibrationOptions, Distortion, ExitPupil, FieldCurvature, LeftOut, Mode,
-    SolvedProblem, Start, Weights, initial_camera,
+    BlurMeasurement, CalibrationOptions, Distortion, ExitPupil, FieldCurvature, LeftOut, LensTilt,
+    Mode, SolvedProblem, Start, Weights, initial_camera,
 };
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue, list};
@@ -186,6 +186,9 @@ fn start_camera(
     }
     if options.distortion == Distortion::Constant {
         lens.q1_growth_per_mm2 = 0.0;
+    }
+    if options.lens_tilt == LensTilt::None {
+        lens.rotation_rad = [0.0; 2];
     }
     if options.field_curvature == FieldCurvature::Flat {
         lens.field_curvature_per_mm = 0.0;

@@ -8,6 +8,7 @@
 
 use std::fmt;
 
+use crate::calibration::options::LENS_TILT;
 use crate::calibration::{CalibrationOptions, Mode, Start};
 use crate::checks::calibration as checks;
 use crate::error::{Error, Result};
@@ -24,6 +25,8 @@ pub const TILT_GRADIENT: [&str; 2] = ["tilt_u", "tilt_v"];
 const ENGRAVED: f64 = 0.03;
 /// Relative σ of q'ᵢ if none is stated.
 pub(super) const INTERCEPTS: f64 = 0.005;
+/// σ of the angle between lens and sensor, rad: a mount or a sensor board that is 0.15 mm higher on one side of 30 mm.
+const MOUNT_TILT_RAD: f64 = 5e-3;
 /// Relative σ of f-numbers, and therefore of m.
 const F_NUMBERS: f64 = 0.02;
 
@@ -38,6 +41,8 @@ pub enum PriorSource {
     Start,
     /// Middle of the sensor.
     SensorMiddle,
+    /// Mount of the lens, parallel to the sensor.
+    Mount,
     /// Flatness of boards as they are made.
     FlatBoard,
     /// Statement of the user.
@@ -76,6 +81,7 @@ impl fmt::Display for PriorSource {
             Self::WhiteImages => "white images",
             Self::Start => "starting camera",
             Self::SensorMiddle => "middle of the sensor",
+            Self::Mount => "mount",
             Self::FlatBoard => "flat board",
             Self::Stated => "stated",
         })
@@ -156,6 +162,9 @@ fn default_priors(start: &Start) -> Vec<(Prior, PriorSource)> {
     }
     priors.push((prior("u0", middle.x, mount), PriorSource::SensorMiddle));
     priors.push((prior("v0", middle.y, mount), PriorSource::SensorMiddle));
+    for parameter in LENS_TILT {
+        priors.push((prior(parameter.name(), 0.0, MOUNT_TILT_RAD), PriorSource::Mount));
+    }
     priors
 }
 

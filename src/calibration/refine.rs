@@ -6,7 +6,7 @@ use tracing::{debug, info};
 use crate::calibration::CalibrationOptions;
 use crate::calibration::checks::check_refined;
 use crate::calibration::frames::{Frames, reconsidered_poses};
-use crate::calibration::options::SMALL_TERMS;
+use crate::calibration::options::{LENS_TILT, SMALL_TERMS};
 use crate::error::Result;
 use crate::model::{BentBoard, Parameter};
 use crate::solver::{
@@ -150,7 +150,7 @@ impl Settings<'_> {
 /// Returns the cost of a rough refinement. Small terms would take up large residuals of other origin, and the principal point
 /// would move far along a flat valley.
 fn with_held(cost: &CostOptions) -> CostOptions {
-    let held = names(&[&SMALL_TERMS[..], &PRINCIPAL_POINT].concat());
+    let held = names(&[&SMALL_TERMS[..], &LENS_TILT, &PRINCIPAL_POINT].concat());
     let mut rough = cost.clone();
     rough.priors.retain(|prior| !held.contains(&prior.quantity));
     rough.fixed.extend(held);

@@ -140,7 +140,7 @@ const IN_PROBLEM: [&str; 25] = [
 #[derive(Clone, Copy, ValueEnum)]
 enum DefaultPriors {
     /// Focal length of the datasheet to 3 %, m of the white images to 2 %, principal point in the middle of the sensor to 0.5
-    /// mm.
+    /// mm, main lens parallel to the sensor to 5 mrad.
     Default,
     /// Only the priors given with --prior.
     None,
@@ -288,10 +288,12 @@ pub(super) fn stage_results(
         })?;
         let lens = &calibration.camera.main_lens;
         let has_pupil = lens.exit_pupil_mm.norm() > 0.0 || lens.pupil_aberration_per_mm != 0.0;
-        if has_pupil || lens.has_curved_field() || lens.q1_growth_per_mm2 != 0.0 {
-            say("warning: COMPOTE's files have no exit pupil, no field curvature and the same \
-                 distortion at all distances, so intrinsics.js describes another camera: calibrate \
-                 with --exit-pupil at-lens --field-curvature flat --distortion constant");
+        let is_tilted = lens.rotation_rad != [0.0; 2];
+        if has_pupil || is_tilted || lens.has_curved_field() || lens.q1_growth_per_mm2 != 0.0 {
+            say("warning: COMPOTE's files have no exit pupil, no field curvature, no tilt of the \
+                 lens and the same distortion at all distances, so intrinsics.js describes another \
+                 camera: calibrate with --exit-pupil at-lens --field-curvature flat --distortion \
+                 constant --lens-tilt none");
         }
         let folder = Path::new("compote");
         let intrinsics = compote::intrinsics_document(&calibration.camera, grid)?;

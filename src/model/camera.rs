@@ -1,6 +1,6 @@
 //! Parameters of the camera model as plain values.
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Rotation3, Vector2, Vector3};
 
 use super::edge_spread::EdgeSpread;
 use super::lattice::{Configuration, Lattice};
@@ -26,7 +26,9 @@ pub struct MainLens {
     /// Growth κ_m of the field curvature with the magnification, mm⁻¹: the astigmatism of a lens, and with it the curvature,
     /// changes with the distance of the object.
     pub field_curvature_growth_per_mm: f64,
-    /// Centre P = (e_x, e_y, e_z) of the exit pupil in the camera frame, mm, the origin of the light of every micro-image; e_z
+    /// Rotation ωx, ωy of the optical axis against the normal of the sensor by Ry·Rx, rad.
+    pub rotation_rad: [f64; 2],
+    /// Centre P = (e_x, e_y, e_z) of the exit pupil in the lens frame, mm, the origin of the light of every micro-image; e_z
     /// is negative towards the array. In the paper it lies in the lens, at 0.
     pub exit_pupil_mm: Vector3<f64>,
     /// Spherical aberration e_r of the exit pupil, mm⁻¹: seen from a micro-lens at the distance r from the axis, the pupil lies
@@ -47,6 +49,7 @@ impl MainLens {
             tangential: [0.0; 2],
             field_curvature_per_mm: 0.0,
             field_curvature_growth_per_mm: 0.0,
+            rotation_rad: [0.0; 2],
             exit_pupil_mm: Vector3::zeros(),
             pupil_aberration_per_mm: 0.0,
             setting: None,
@@ -57,6 +60,14 @@ impl MainLens {
     #[must_use]
     pub fn has_curved_field(&self) -> bool {
         self.field_curvature_per_mm != 0.0 || self.field_curvature_growth_per_mm != 0.0
+    }
+
+    /// Returns the rotation from the lens frame, whose z axis is the optical axis, to the camera frame, whose z axis is
+    /// normal to the sensor.
+    #[must_use]
+    pub fn camera_from_lens(&self) -> Rotation3<f64> {
+        let [x, y] = self.rotation_rad;
+        Rotation3::from_euler_angles(x, y, 0.0)
     }
 
     /// Returns the pupil magnification p = 1 + e_z/F, the ratio of the diameters of exit pupil and entrance pupil. One is the
@@ -76,10 +87,10 @@ pub struct LensSetting {
     pub focus_distance_mm: f64,
 }
 
-/// Micro-lens array and the sensor behind it. Distances are measured along the optical axis, at the centre of the array.
+/// Micro-lens array and the sensor behind it. Distances are measured along the normal of the sensor, at the centre of the array.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MicroLensArray {
-    /// Principal point (u₀, v₀), px, where the optical axis meets the sensor.
+    /// Principal point (u₀, v₀), px: the centre O of the main lens projected onto the sensor.
     pub principal_point_px: Vector2<f64>,
     /// Distance d from array to sensor, mm.
     pub mla_to_sensor_mm: f64,

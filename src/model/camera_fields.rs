@@ -51,6 +51,8 @@ struct MainLensFile {
     #[serde(default)]
     field_curvature_growth_per_mm: f64,
     #[serde(default)]
+    rotation_rad: [f64; 2],
+    #[serde(default)]
     exit_pupil_mm: [f64; 3],
     #[serde(default)]
     pupil_aberration_per_mm: f64,
@@ -99,6 +101,7 @@ impl From<PlenopticCamera> for CameraFields {
                 p2_per_mm,
                 field_curvature_per_mm: lens.field_curvature_per_mm,
                 field_curvature_growth_per_mm: lens.field_curvature_growth_per_mm,
+                rotation_rad: lens.rotation_rad,
                 exit_pupil_mm: lens.exit_pupil_mm.into(),
                 pupil_aberration_per_mm: lens.pupil_aberration_per_mm,
                 f_number: lens.setting.map(|s| s.f_number),
@@ -145,6 +148,7 @@ impl TryFrom<CameraFields> for PlenopticCamera {
                 tangential: [lens.p1_per_mm, lens.p2_per_mm],
                 field_curvature_per_mm: lens.field_curvature_per_mm,
                 field_curvature_growth_per_mm: lens.field_curvature_growth_per_mm,
+                rotation_rad: lens.rotation_rad,
                 exit_pupil_mm: Vector3::from(lens.exit_pupil_mm),
                 pupil_aberration_per_mm: lens.pupil_aberration_per_mm,
                 setting: lens.f_number.map(|f_number| LensSetting {

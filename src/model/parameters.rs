@@ -62,11 +62,14 @@ impl Parameter {
     /// Parameters of the shape of a board.
     pub const SHAPE: [Self; SHAPE] = [Self::SagX, Self::SagY, Self::Twist, Self::Aspect];
 
-    /// Parameters that the camera of the paper does not have: growth of distortion, field curvature, exit pupil, a second pitch.
-    pub const BEYOND_THE_PAPER: [Self; 8] = [
+    /// Parameters that the camera of the paper does not have: growth of distortion, field curvature, a tilted lens, exit pupil,
+    /// a second pitch.
+    pub const BEYOND_THE_PAPER: [Self; 10] = [
         Self::Radial1Growth,
         Self::FieldCurvature,
         Self::FieldCurvatureGrowth,
+        Self::LensRotationX,
+        Self::LensRotationY,
         Self::PupilX,
         Self::PupilY,
         Self::PupilZ,
@@ -219,6 +222,8 @@ places!(PlenopticCamera {
     Tangential2 => main_lens.tangential[1];
     FieldCurvature => main_lens.field_curvature_per_mm;
     FieldCurvatureGrowth => main_lens.field_curvature_growth_per_mm;
+    LensRotationX => main_lens.rotation_rad[0];
+    LensRotationY => main_lens.rotation_rad[1];
     PupilX => main_lens.exit_pupil_mm[0];
     PupilY => main_lens.exit_pupil_mm[1];
     PupilZ => main_lens.exit_pupil_mm[2];

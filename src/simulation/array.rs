@@ -1,6 +1,9 @@
 //! The micro-lens array as the tracer sees it: thin lenses with circular openings in one tilted plane.
+//!
+//! The tracer works in the lens frame, with z along the optical axis. Array and sensor are turned in it together if the main
+//! lens is tilted.
 
-use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector2, Vector3};
 
 use crate::model::PlenopticCamera;
 
@@ -10,7 +13,7 @@ pub(super) struct MicroLens {
     pub k: i32,
     pub l: i32,
     pub lens_type: usize,
-    /// Centre C of the micro-lens, camera frame.
+    /// Centre C of the micro-lens, lens frame.
     pub center: Point3<f64>,
     /// Refractive power 1/f.
     pub power: f64,
@@ -32,16 +35,18 @@ impl MicroLens {
 #[derive(Debug, Clone)]
 pub(super) struct MicroLenses {
     pub lenses: Vec<MicroLens>,
-    /// Axes of the array as columns, in the camera frame.
+    /// Axes of the array as columns, in the lens frame.
     pub axes: Matrix3<f64>,
     /// Pitch ΔC along x.
     pub pitch: f64,
     pub opening_radius: f64,
     /// Diameter of the openings over the pitch.
     pub aperture_ratio: f64,
-    pub sensor_z: f64,
+    /// Distance of the sensor from the main lens, along its normal.
+    lens_to_sensor: f64,
     pub pixel_size: f64,
     principal_point: Vector2<f64>,
+    lens_from_camera: Rotation3<f64>,
 }
 
 impl MicroLenses {
@@ -49,8 +54,10 @@ impl MicroLenses {
     pub fn new(camera: &PlenopticCamera, aperture_ratio: f64) -> Self {
         let mla = &camera.mla;
         let [x, y, z] = mla.rotation_rad.into();
-        let axes = Rotation3::from_euler_angles(x, y, z);
-        let origin = Point3::new(mla.offset_mm.x, mla.offset_mm.y, -mla.lens_to_mla_mm);
+        let lens_from_camera = camera.main_lens.camera_from_lens().inverse();
+        let axes = lens_from_camera * Rotation3::from_euler_angles(x, y, z);
+        let origin =
+            lens_from_camera * Point3::new(mla.offset_mm.x, mla.offset_mm.y, -mla.lens_to_mla_mm);
         let lattice = &camera.lattice;
         let lens = |k, l| {
             let node = lattice.node(k, l);
@@ -76,19 +83,36 @@ impl MicroLenses {
             pitch: mla.pitch_mm,
             aperture_ratio,
             opening_radius: aperture_ratio * mla.pitch_mm * mla.pitch_ratio.sqrt() / 2.0,
-            sensor_z: -(mla.lens_to_mla_mm + mla.mla_to_sensor_mm),
+            lens_to_sensor: mla.lens_to_mla_mm + mla.mla_to_sensor_mm,
             pixel_size: camera.sensor.pixel_size_mm,
             principal_point: mla.principal_point_px,
+            lens_from_camera,
         }
     }
 
-    /// Converts a point of the camera frame to local coordinates of a micro-lens.
+    /// Converts a pose from the camera frame to the lens frame.
+    pub fn in_lens_frame(&self, camera_from_board: &Isometry3<f64>) -> Isometry3<f64> {
+        UnitQuaternion::from_rotation_matrix(&self.lens_from_camera) * camera_from_board
+    }
+
+    /// Converts a vector from the lens frame to the camera frame.
+    pub fn in_camera_frame(&self, vector: &Vector3<f64>) -> Vector3<f64> {
+        self.lens_from_camera.inverse_transform_vector(vector)
+    }
+
+    /// Returns the distance of a point from the sensor, along its normal.
+    #[inline]
+    pub fn to_sensor_mm(&self, point: &Point3<f64>) -> f64 {
+        self.lens_from_camera.inverse_transform_point(point).z + self.lens_to_sensor
+    }
+
+    /// Converts a point of the lens frame to local coordinates of a micro-lens.
     #[inline]
     pub fn local(&self, lens: &MicroLens, point: &Point3<f64>) -> Vector3<f64> {
         self.axes.tr_mul(&(point - lens.center))
     }
 
-    /// Converts a point in the plane of the micro-lenses from local coordinates to the camera frame.
+    /// Converts a point in the plane of the micro-lenses from local coordinates to the lens frame.
     #[inline]
     pub fn of_lens(&self, lens: &MicroLens, on_lens: Vector2<f64>) -> Point3<f64> {
         lens.center + self.axes.column(0) * on_lens.x + self.axes.column(1) * on_lens.y
@@ -98,16 +122,25 @@ impl MicroLenses {
     #[inline]
     pub fn on_sensor(&self, u: f64, v: f64) -> Point3<f64> {
         let place = (self.principal_point - Vector2::new(u, v)) * self.pixel_size;
-        Point3::new(place.x, place.y, self.sensor_z)
+        self.lens_from_camera * Point3::new(place.x, place.y, -self.lens_to_sensor)
+    }
+
+    /// Returns the steps from a pixel to its neighbours on the right and below, local.
+    #[inline]
+    pub fn pixel_steps(&self) -> [Vector3<f64>; 2] {
+        [Vector3::x(), Vector3::y()]
+            .map(|axis| self.axes.tr_mul(&(self.lens_from_camera * -axis)) * self.pixel_size)
     }
 
     /// Returns the pixel position where the line through `point` along `direction` meets the sensor.
     pub fn to_pixel(&self, point: &Point3<f64>, direction: &Vector3<f64>) -> Point2<f64> {
-        let hit = point + direction * ((self.sensor_z - point.z) / direction.z);
+        let (point, direction) =
+            (self.lens_from_camera.inverse_transform_point(point), self.in_camera_frame(direction));
+        let hit = point + direction * ((-self.lens_to_sensor - point.z) / direction.z);
         Point2::from(self.principal_point - hit.xy().coords / self.pixel_size)
     }
 
-    /// Returns the pixel position where the ray through `on_lens` (local) and `point` (camera frame, on the scene side of the
+    /// Returns the pixel position where the ray through `on_lens` (local) and `point` (lens frame, on the scene side of the
     /// array) meets the sensor.
     pub fn to_sensor(
         &self,

@@ -1,6 +1,6 @@
 //! The main lens as the tracer uses it. It takes a ray behind the lens, and returns the ray in front of it or blocks it.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
 
 use super::prescription::Prescription;
 #[cfg(test)]
@@ -174,13 +174,19 @@ fn furthest_mm(camera: &PlenopticCamera) -> f64 {
     let Sensor { width_px, height_px, pixel_size_mm } = camera.sensor;
     let [width, height] = [width_px, height_px].map(f64::from);
     let corners = [(0.0, 0.0), (width, 0.0), (0.0, height), (width, height)];
+    let lens_from_camera = camera.main_lens.camera_from_lens().inverse();
+    let from_axis =
+        |x: f64, y: f64, z: f64| (lens_from_camera * Point3::new(x, y, z)).xy().coords.norm();
+    let sensor_z = -mla.lens_to_mla_mm - mla.mla_to_sensor_mm;
     let of_sensor = corners.map(|(u, v)| {
-        (mla.principal_point_px.x - u).hypot(mla.principal_point_px.y - v) * pixel_size_mm
+        let place = (mla.principal_point_px - Vector2::new(u, v)) * pixel_size_mm;
+        from_axis(place.x, place.y, sensor_z)
     });
     let ends = [(0, 0), (lattice.columns, 0), (0, lattice.rows), (lattice.columns, lattice.rows)];
     let of_array = ends.map(|(k, l)| {
         let node = lattice.node(k, l);
-        (mla.offset_mm.x - mla.pitch_mm * node.x).hypot(mla.offset_mm.y - mla.pitch_mm * node.y)
+        let place = mla.offset_mm - mla.pitch_mm * Vector2::new(node.x, node.y);
+        from_axis(place.x, place.y, -mla.lens_to_mla_mm)
     });
     // Micro-lenses that the sensor does not see have no effect.
     let furthest = |distances: [f64; 4]| distances.into_iter().fold(0.0, f64::max);

@@ -199,14 +199,8 @@ impl Tracer {
             let ray = self.through(lens, draw.middle * within, &pixel);
             self.lens.aim(&ray, board, nearby)
         });
-        let step = array.pixel_size;
-        Some(Bundle {
-            pixel,
-            right: -array.axes.row(0).transpose() * step,
-            down: -array.axes.row(1).transpose() * step,
-            draw,
-            aim,
-        })
+        let [right, down] = array.pixel_steps();
+        Some(Bundle { pixel, right, down, draw, aim })
     }
 
     /// Returns the region from which rays are drawn to all points within a distance of a point on the sensor (local); `None` if

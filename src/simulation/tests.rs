@@ -259,7 +259,9 @@ fn the_image_is_upright() {
     let brightness = |column: i32, row: i32| {
         let center = (f64::from(column) - 0.5, f64::from(row) - 0.5);
         let p = board * Point3::new(center.0 * square_mm, center.1 * square_mm, 0.0);
-        let scale = -tracer.array.sensor_z / z / sensor.pixel_size_mm;
+        let mla = &settings.camera.mla;
+        let to_sensor = mla.lens_to_mla_mm + mla.mla_to_sensor_mm;
+        let scale = to_sensor / z / sensor.pixel_size_mm;
         let place = settings.camera.mla.principal_point_px + p.coords.xy() * scale;
         let (u, v) = pixel_at(&place);
         let near = (v - 20..v + 20).flat_map(|v| (u - 20..u + 20).map(move |u| (u, v)));

@@ -95,11 +95,12 @@ impl Tracer {
     fn check_geometry(&self, f_number: f64) -> Result<()> {
         for lens in &self.array.lenses {
             let (k, l) = (lens.k, lens.l);
-            if lens.center.z <= self.array.sensor_z {
+            let to_sensor = self.array.to_sensor_mm(&lens.center);
+            if to_sensor <= 0.0 {
                 return Err(Error::invalid(format!(
                     "micro-lens ({k}, {l}) lies {:.3} mm behind the sensor: give the array a \
                      smaller tilt or a larger distance from the sensor",
-                    self.array.sensor_z - lens.center.z
+                    -to_sensor
                 )));
             }
             if lens.center.z >= self.lens.rear_z() {
@@ -133,7 +134,7 @@ impl Tracer {
     /// Returns the distance between neighbouring micro-image centres, as projected from the exit pupil, mm.
     fn micro_image_pitch_mm(&self) -> f64 {
         let to_pupil = self.lens.pupil.center.z + self.lens_to_mla;
-        let to_sensor = -self.lens_to_mla - self.array.sensor_z;
+        let to_sensor = self.mla_to_sensor;
         self.array.pitch * (1.0 + to_sensor / to_pupil)
     }
 
@@ -143,7 +144,7 @@ impl Tracer {
     #[must_use]
     pub fn internal_parameters(&self) -> InternalParameters {
         let to_pupil = self.lens.pupil.center.z + self.lens_to_mla;
-        let to_sensor = -self.lens_to_mla - self.array.sensor_z;
+        let to_sensor = self.mla_to_sensor;
         let pitch = self.micro_image_pitch_mm();
         let q_prime = |lens: &MicroLens| {
             let stop = lens.demagnification(to_sensor, to_pupil) * self.array.opening_radius
@@ -183,7 +184,7 @@ impl Tracer {
     /// Returns the outer radius of a micro-image of a white image, px: the distance of the outermost ray, from one
     /// edge of the pupil through the opposite edge of the micro-lens.
     pub(super) fn micro_image_radius_px(&self, lens: &MicroLens) -> f64 {
-        let to_sensor = lens.center.z - self.array.sensor_z;
+        let to_sensor = self.array.to_sensor_mm(&lens.center);
         let to_pupil = self.lens.pupil.center.z - lens.center.z;
         let stop = lens.demagnification(to_sensor, to_pupil).abs() * self.array.opening_radius;
         (stop + self.lens.drawn.radius) * to_sensor / to_pupil / self.array.pixel_size
@@ -194,7 +195,7 @@ impl Tracer {
     #[must_use]
     pub fn reference_irradiance(&self) -> f64 {
         let middle = |lens: &MicroLens| {
-            let to_sensor = lens.center.z - self.array.sensor_z;
+            let to_sensor = self.array.to_sensor_mm(&lens.center);
             let to_pupil = self.lens.pupil.center.z - lens.center.z;
             let demagnification = lens.demagnification(to_sensor, to_pupil).abs();
             let radius = (self.lens.pupil.radius / demagnification).min(self.array.opening_radius);
@@ -207,7 +208,8 @@ impl Tracer {
         match scene {
             Scene::White => Ok(None),
             Scene::Board(target, pose) => {
-                let board = PlacedTarget::new(target, pose, self.focal_length)?;
+                let pose = self.array.in_lens_frame(pose);
+                let board = PlacedTarget::new(target, &pose, self.focal_length)?;
                 board.check_in_front(self.lens.nearest_object())?;
                 Ok(Some(board))
             }

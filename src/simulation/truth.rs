@@ -54,6 +54,7 @@ impl Tracer {
     #[must_use]
     pub fn spot(&self, point: &Point3<f64>, k: i32, l: i32) -> Option<Spot> {
         let lens = self.micro_lens(k, l)?;
+        let point = &(self.array.in_lens_frame(&Isometry3::identity()) * point);
         let image = self.lens.image_from(point, &self.lens.image_of(point)?, &lens.center)?;
         Some(self.spot_of_image(&image, lens))
     }
@@ -69,7 +70,7 @@ impl Tracer {
         // The image is upright: a ray through the rim of the lens at +x arrives at u + ρ.
         let radius = rim.iter().zip(&hits).map(|(direction, hit)| {
             let outwards = self.array.of_lens(lens, *direction) - lens.center;
-            outwards.xy().dot(&(hit - center))
+            self.array.in_camera_frame(&outwards).xy().dot(&(hit - center))
         });
         Spot {
             center_px: center,
@@ -131,6 +132,7 @@ impl Tracer {
         target: &Target,
         camera_from_board: &Isometry3<f64>,
     ) -> Vec<TrueFeature> {
+        let lens_from_board = self.array.in_lens_frame(camera_from_board);
         let centers: Vec<_> = self
             .array
             .lenses
@@ -143,7 +145,7 @@ impl Tracer {
         (0..target.board().corners())
             .into_par_iter()
             .flat_map_iter(|corner| {
-                let point = camera_from_board * target.corner_mm(corner);
+                let point = lens_from_board * target.corner_mm(corner);
                 let near = self.lens.image_of(&point);
                 let seen = |&(lens, center, radius): &(&MicroLens, Point2<f64>, f64)| {
                     let at = |image: Point3<f64>| {

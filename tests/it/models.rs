@@ -164,6 +164,8 @@ fn what_cannot_be_compared_is_an_error_with_the_reason() {
         Parameter::Radial2,
         Parameter::Radial3,
         Parameter::Radial1Growth,
+        Parameter::LensRotationX,
+        Parameter::LensRotationY,
         Parameter::Tangential1,
     ]);
     let calibration = run(&datasheet_start(), &shipped_observations(), &options);
@@ -187,7 +189,7 @@ fn what_cannot_be_compared_is_an_error_with_the_reason() {
 fn the_figures_show_both_cameras() {
     let calibration = run(&datasheet_start(), &shipped_observations(), &defaults());
     let figures = model_figures(&calibration, &compared(&calibration));
-    assert_eq!(figures.len(), 5);
+    assert_eq!(figures.len(), 6);
     for figure in figures.iter().flatten() {
         crate::report::check(figure);
         assert!(figure.svg.contains(">With the ") && figure.svg.contains(">Without the "));
@@ -211,7 +213,7 @@ fn the_command_prints_the_comparison_and_has_it_in_its_document() {
     let groups = document["models"]["groups"].as_array().unwrap();
     let verdicts: Vec<&str> = groups.iter().filter_map(|g| g["verdict"].as_str()).collect();
     let (keep, no) = ("needed", "no difference");
-    assert_eq!(verdicts, [no, no, no, keep, keep]);
+    assert_eq!(verdicts, [no, no, no, no, keep, keep]);
     assert_eq!(groups[0]["error_growth"]["frames"].as_array().unwrap().len(), 8);
     // What was asked for and cannot be done is said; the calibration stands.
     let (out, result) = on_command_line(&["--exclude", "0,1,2"]);

@@ -68,16 +68,17 @@ fn traced_spots_lie_where_the_closed_form_projects_them() {
         if name == "lytro-like" {
             poses.truncate(1); // every corner is seen by a thousand micro-lenses
         }
-        for (tilt, pitch_ratio, curvature) in [
-            (0.0, 1.0, 0.0),
-            (0.0, 1.01, 3e-3),
-            (1.0, 1.0, 0.0),
-            (1.0, 1.0, 3e-3),
-            (10.0, 0.99, 0.0),
+        for (tilt, pitch_ratio, curvature, lens_tilt) in [
+            (0.0, 1.0, 0.0, 0.0),
+            (0.0, 1.01, 3e-3, 0.01),
+            (1.0, 1.0, 0.0, 0.0),
+            (1.0, 1.0, 3e-3, 0.01),
+            (10.0, 0.99, 0.0, 0.02),
         ] {
             let mut camera = settings.camera.clone();
             camera.main_lens.field_curvature_per_mm = curvature;
             camera.main_lens.exit_pupil_mm.z = -1e3 * curvature;
+            camera.main_lens.rotation_rad = [lens_tilt, -0.7 * lens_tilt];
             camera.mla.rotation_rad.x *= tilt;
             camera.mla.rotation_rad.y *= tilt;
             camera.mla.pitch_ratio = pitch_ratio;
@@ -268,6 +269,7 @@ fn traced_centres_lie_where_the_closed_form_projects_them() {
     for (name, pupil) in names.into_iter().flat_map(|name| pupils.map(|pupil| (name, pupil))) {
         let mut settings = preset(name, &[]);
         settings.camera.main_lens.exit_pupil_mm = pupil.into();
+        settings.camera.main_lens.rotation_rad = [3e-3 * pupil[2], 0.02 - 1e-3 * pupil[2]];
         let camera = &settings.camera;
         let f_number = settings.board_f_number();
         let tracer = Tracer::new(camera, f_number, &Imperfections::default(), 0).unwrap();

@@ -204,13 +204,13 @@ fn priors_are_replaced_removed_and_left_out_where_a_parameter_is_fixed() {
     options.priors.state("v0", 360.0, 4.0);
     options.priors.remove("m");
     options.fix.push(Parameter::FocalLength);
-    assert_eq!(quantities(&options), ["v0", "u0", "q'_1", "q'_2", "q'_3"]);
+    assert_eq!(quantities(&options), ["v0", "u0", "omega_x", "omega_y", "q'_1", "q'_2", "q'_3"]);
     // Without them nothing would be said of the focal lengths.
     let none = CalibrationOptions { priors: no_priors(), ..defaults() };
     assert_eq!(quantities(&none), ["q'_1", "q'_2", "q'_3"]);
     options.priors.remove("q'_2");
     options.priors.state("q'_3", 0.0377, 1e-4);
-    assert_eq!(quantities(&options), ["q'_3", "v0", "u0", "q'_1"]);
+    assert_eq!(quantities(&options), ["q'_3", "v0", "u0", "omega_x", "omega_y", "q'_1"]);
 }
 
 #[test]
@@ -286,12 +286,12 @@ fn priors_of_the_project_and_of_the_command_line_are_combined() {
         found.iter().map(|(name, _)| name.clone()).collect()
     };
     let found = priors(&[]);
-    assert_eq!(names(&found), ["F", "u0", "v0", "q'_1", "q'_2", "q'_3"]);
+    assert_eq!(names(&found), ["F", "u0", "v0", "omega_x", "omega_y", "q'_1", "q'_2", "q'_3"]);
     assert!((found[0].1 - 0.1).abs() < 1e-12);
     // The command line comes first; a relative σ.
     let found = priors(&["--prior", "F=16.2:1%,v0=none"]);
     assert_eq!(names(&found[..2]), ["F", "u0"]);
-    assert_eq!(found.len(), 5);
+    assert_eq!(found.len(), 7);
     assert!((found[0].1 - 0.162).abs() < 1e-12);
     assert!(priors(&["--priors", "none", "--blur", "features"]).is_empty());
     let found = priors(&["--priors", "none", "--prior", "D=18.5:1"]);

@@ -27,6 +27,7 @@ fn real_camera(exit_pupil_mm: f64) -> PlenopticCamera {
     camera.main_lens.field_curvature_per_mm = 0.006;
     camera.main_lens.field_curvature_growth_per_mm = 0.01;
     camera.main_lens.pupil_aberration_per_mm = 0.02;
+    camera.main_lens.rotation_rad = [0.007, -0.004];
     camera.main_lens.q1_growth_per_mm2 = 0.003;
     camera
 }

@@ -73,6 +73,8 @@ pub fn options() -> CalibrationOptions {
         Parameter::Radial1Growth,
         Parameter::FieldCurvature,
         Parameter::FieldCurvatureGrowth,
+        Parameter::LensRotationX,
+        Parameter::LensRotationY,
         Parameter::PupilZ,
         Parameter::PupilAberration,
     ];

@@ -121,6 +121,7 @@ class PLENOCAL_API BackProjection {
 
   Camera camera_;
   Optics<double> optics_;
+  LensFrame<double> frame_;
   double radius_;
   // Plane of the array: a point, the steps to the next column and row, and the normal.
   Vector3<double> origin_, step_x_, step_y_, normal_;

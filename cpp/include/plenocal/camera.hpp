@@ -147,6 +147,8 @@ struct MainLens {
   /// r^2 nearer to the lens, at the magnification m
   T field_curvature;
   T field_curvature_growth;  ///< growth kappa_m, mm^-1; kappa applies to objects far away
+  /// rotation omega_x, omega_y of the optical axis against the normal of the sensor, rad: Ry Rx
+  T rotation[2];
 
   /// Calls f(name, parameter) for every parameter, in the order of the solver's parameter block.
   template <typename Self, typename F>
@@ -156,16 +158,16 @@ struct MainLens {
   }
 };
 
-/// Centre P of the exit pupil of the main lens in the camera frame, mm, the origin of the light
-/// that reaches a micro-lens. In the paper it lies in the main lens, at O. z is negative towards
-/// the array.
+/// Centre P of the exit pupil of the main lens in the lens frame (`LensFrame`), mm, the origin of
+/// the light that reaches a micro-lens. In the paper it lies in the main lens, at O. z is negative
+/// towards the array.
 template <typename T>
 struct ExitPupil {
   T x, y, z;
   /// spherical aberration e_r of the pupil, 1/mm: seen from the distance r, it lies at z + e_r r^2
   T aberration;
 
-  /// Returns P as seen from a micro-lens with the centre C, mm.
+  /// Returns P as seen from a micro-lens with the centre C, both in the lens frame, mm.
   Vector3<T> seen_from(const Vector3<T>& center) const {
     const T dx = center.x - x, dy = center.y - y;
     return {x, y, z + aberration * (dx * dx + dy * dy)};
@@ -179,10 +181,10 @@ struct ExitPupil {
   }
 };
 
-/// Micro-lens array and the sensor behind it. Distances are along the optical axis.
+/// Micro-lens array and the sensor behind it. Distances are along the normal of the sensor.
 template <typename T>
 struct MicroLensArray {
-  T principal_point[2];  ///< principal point (u0, v0), px, where the optical axis meets the sensor
+  T principal_point[2];  ///< principal point (u0, v0), px: O projected onto the sensor
   T mla_to_sensor;       ///< distance d to the sensor, mm, in the middle of the array
   Vector3<T> rotation;   ///< rotation theta_x, theta_y, theta_z, rad: R_MLA = Rz Ry Rx
   T offset[2];           ///< centre t_x, t_y of the array in the camera frame, mm

@@ -30,7 +30,7 @@ class Magnification {
   /// Creates the magnification m of all points at one distance from the lens.
   explicit Magnification(const T& value) : terms_{value, T(0.0), T(1.0), T(0.0)} {}
   /// Creates the magnification of the points whose images lie at z, mm. A point at Z has
-  /// m = -F/(Z - F), so that `main_lens_image` gives z = m F - F + (kappa - kappa_m m) r^2, which
+  /// m = -F/(Z - F), so that `image_along_axis` gives z = m F - F + (kappa - kappa_m m) r^2, which
   /// is linear in m.
   static Magnification of_images_at(const T& z, const MainLens<T>& lens) {
     return Magnification(std::array<T, 4>{z + lens.focal_length, lens.field_curvature,
@@ -101,7 +101,7 @@ Part<double> values_of(const Part<T>& part) {
   return from_block<Part>(values.data());
 }
 
-/// Returns the ideal image point that distortion moves to `distorted`, both in mm in the camera
+/// Returns the ideal image point that distortion moves to `distorted`, both in mm in the lens
 /// frame. Returns no value if there is none on the axis's side of the fold, where polynomials turn
 /// back.
 template <typename T>
@@ -147,18 +147,20 @@ std::optional<Vector2<T>> undistort(const MainLens<T>& lens, const Magnification
   return Vector2<T>{x + step.x, y + step.y};
 }
 
-/// Returns the point in the camera frame (mm) whose image through the main lens is p': the inverse
-/// of `main_lens_image`. Returns no value if p' is not the image of a point beyond the focal plane,
-/// or if distortion has no inverse there.
+/// Returns the point (mm) whose image through the main lens is p', both in the camera frame: the
+/// inverse of `main_lens_image`. Returns no value if p' is not the image of a point beyond the
+/// focal plane, or if distortion has no inverse there.
 template <typename T>
-std::optional<Vector3<T>> object_point(const MainLens<T>& lens, const Vector3<T>& image) {
+std::optional<Vector3<T>> object_point(const MainLens<T>& lens, const Vector3<T>& image_point) {
+  const LensFrame<T> frame(lens);
+  const Vector3<T> image = frame.of_camera(image_point);
   const auto magnifications = Magnification<T>::of_images_at(image.z, lens);
   const std::optional<Vector2<T>> ideal = undistort(lens, magnifications, {image.x, image.y});
   if (!ideal) return std::nullopt;
   const T magnification = magnifications(ideal->x * ideal->x + ideal->y * ideal->y);
   if (!(magnification < 0.0)) return std::nullopt;
-  return Vector3<T>{ideal->x / magnification, ideal->y / magnification,
-                    lens.focal_length - lens.focal_length / magnification};
+  return frame.to_camera({ideal->x / magnification, ideal->y / magnification,
+                          lens.focal_length - lens.focal_length / magnification});
 }
 
 /// Returns the image p' at the virtual depth nu on the line from a pixel through the centre C of a
@@ -236,33 +238,47 @@ std::optional<Ray<T>> object_ray(const Optics<T>& optics, const MicroLens& micro
   constexpr int kMaxSteps = 20;
   constexpr double kSettled = 4e-15;  // relative size of a step
   const MainLens<T>& lens = optics.main_lens;
-  if (!(z > lens.focal_length)) return std::nullopt;
-  const Vector3<T> center = optics.array.micro_lens_center(micro_lens.node);
+  const LensFrame<T> frame(lens);
+  const Vector3<T> normal = frame.normal();
+  const T beyond_focus = z - normal.z * lens.focal_length;
+  if (!(beyond_focus > 0.0)) return std::nullopt;
+  const Vector3<T> micro_lens_center = optics.array.micro_lens_center(micro_lens.node);
   const Vector3<T> on_sensor = optics.array.on_sensor(pixel);
-  const Vector3<T> line = {on_sensor.x - center.x, on_sensor.y - center.y, on_sensor.z - center.z};
-  // For the magnification at z, p'_z = m z + (kappa - kappa_m m) r^2 and thus the virtual depth
-  // depend on r alone. Newton's method finds the ideal image point (x, y).
-  const T magnification = -lens.focal_length / (z - lens.focal_length);
-  const T depth_on_axis = (magnification * z - center.z) / line.z;
-  const T bulge = (lens.field_curvature - lens.field_curvature_growth * magnification) / line.z;
+  const Vector3<T> center = frame.of_camera(micro_lens_center);
+  const Vector3<T> line =
+      frame.of_camera({on_sensor.x - micro_lens_center.x, on_sensor.y - micro_lens_center.y,
+                       on_sensor.z - micro_lens_center.z});
+  // The point (x, y)/m, F - F/m lies at the distance z. Its magnification m is therefore linear in
+  // the ideal image point (x, y), which Newton's method finds: with it, p'_z = m F - F + (kappa -
+  // kappa_m m) r^2 and the virtual depth.
+  const T m_axis = -normal.z * lens.focal_length / beyond_focus;
+  const T m_x = normal.x / beyond_focus, m_y = normal.y / beyond_focus;
+  const T depth_on_axis = ((m_axis - 1.0) * lens.focal_length - center.z) / line.z;
   T x = center.x + depth_on_axis * line.x, y = center.y + depth_on_axis * line.y;
-  const Magnification<T> magnifications(magnification);
-  DistortionSlope<T> distorts = distortion_slope(lens, magnifications, x, y);
+  T magnification = m_axis + m_x * x + m_y * y;
+  DistortionSlope<T> distorts = distortion_slope(lens, Magnification<T>(magnification), x, y);
   bool settled = false;
   for (int i = 0; i < kMaxSteps; ++i) {
-    const T depth = depth_on_axis + bulge * (x * x + y * y);
+    const T r2 = x * x + y * y;
+    const T bulge = (lens.field_curvature - lens.field_curvature_growth * magnification) / line.z;
+    const T depth = ((magnification - 1.0) * lens.focal_length - center.z) / line.z + bulge * r2;
     const Vector2<T> shift = distortion(lens, magnification, x, y);
     const T off_x = center.x + depth * line.x - x - shift.x;
     const T off_y = center.y + depth * line.y - y - shift.y;
-    const T by_x = 2.0 * bulge * x, by_y = 2.0 * bulge * y;
-    const T xx = distorts.xx - line.x * by_x, xy = distorts.xy - line.x * by_y;
-    const T yx = distorts.xy - line.y * by_x, yy = distorts.yy - line.y * by_y;
+    const T by_m = (lens.focal_length - lens.field_curvature_growth * r2) / line.z;
+    const T by_x = 2.0 * bulge * x + by_m * m_x, by_y = 2.0 * bulge * y + by_m * m_y;
+    const T growth = lens.radial_growth * r2;
+    const T xx = distorts.xx - growth * x * m_x - line.x * by_x;
+    const T xy = distorts.xy - growth * x * m_y - line.x * by_y;
+    const T yx = distorts.xy - growth * y * m_x - line.y * by_x;
+    const T yy = distorts.yy - growth * y * m_y - line.y * by_y;
     const T inverse = 1.0 / (xx * yy - xy * yx);
     const T step_x = (yy * off_x - xy * off_y) * inverse;
     const T step_y = (xx * off_y - yx * off_x) * inverse;
     x = x + step_x;
     y = y + step_y;
-    distorts = distortion_slope(lens, magnifications, x, y);
+    magnification = m_axis + m_x * x + m_y * y;
+    distorts = distortion_slope(lens, Magnification<T>(magnification), x, y);
     // The round after the last step gives the derivatives of the solution.
     if (settled) break;
     const double size = std::abs(value_of(x)) + std::abs(value_of(y)) +
@@ -272,7 +288,7 @@ std::optional<Ray<T>> object_ray(const Optics<T>& optics, const MicroLens& micro
     settled = step <= kSettled * size;
     if (std::is_same<T, double>::value && settled) break;
   }
-  if (!settled || !distorts.is_regular()) return std::nullopt;
+  if (!settled || !distorts.is_regular() || !(magnification < 0.0)) return std::nullopt;
   // Derivatives of the image and its magnification along the line: the ideal image moves with the
   // line and, since distortion changes, with the magnification.
   const Vector2<T> ideal{x, y};
@@ -289,13 +305,15 @@ std::optional<Ray<T>> object_ray(const Optics<T>& optics, const MicroLens& micro
   // The point is (x, y)/m and z = F - F/m; these are its derivatives by the depth.
   const T inverse = 1.0 / magnification;
   const T by_slope = slope * inverse;
-  Vector3<T> direction = {(slide.x - ideal.x * by_slope) * inverse,
-                          (slide.y - ideal.y * by_slope) * inverse,
-                          lens.focal_length * by_slope * inverse};
+  Vector3<T> direction = frame.to_camera({(slide.x - ideal.x * by_slope) * inverse,
+                                          (slide.y - ideal.y * by_slope) * inverse,
+                                          lens.focal_length * by_slope * inverse});
   T length =
       sqrt(direction.x * direction.x + direction.y * direction.y + direction.z * direction.z);
   if (direction.z < 0.0) length = -length;
-  return Ray<T>{{ideal.x * inverse, ideal.y * inverse, z},
+  const Vector3<T> point = frame.to_camera(
+      {ideal.x * inverse, ideal.y * inverse, lens.focal_length - lens.focal_length * inverse});
+  return Ray<T>{{point.x, point.y, z},
                 {direction.x / length, direction.y / length, direction.z / length}};
 }
 

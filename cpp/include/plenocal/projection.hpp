@@ -116,7 +116,36 @@ class Motion {
   T translation_[3];
 };
 
-/// Returns the displacement of the ideal image point (x, y) by distortion, all in mm in the camera
+/// The lens frame: the camera frame, whose z axis is normal to the sensor, turned about O so that z
+/// is the optical axis. camera_from_lens is Ry(omega_y) Rx(omega_x).
+template <typename T>
+class LensFrame {
+ public:
+  explicit LensFrame(const MainLens<T>& lens) {
+    using std::cos;
+    using std::sin;
+    const T &x = lens.rotation[0], &y = lens.rotation[1];
+    cos_x_ = cos(x), sin_x_ = sin(x), cos_y_ = cos(y), sin_y_ = sin(y);
+  }
+
+  /// Converts a vector from the camera frame to the lens frame.
+  Vector3<T> of_camera(const Vector3<T>& v) const {
+    const T z = sin_y_ * v.x + cos_y_ * v.z;
+    return {cos_y_ * v.x - sin_y_ * v.z, cos_x_ * v.y + sin_x_ * z, cos_x_ * z - sin_x_ * v.y};
+  }
+  /// Converts a vector from the lens frame to the camera frame.
+  Vector3<T> to_camera(const Vector3<T>& v) const {
+    const T z = sin_x_ * v.y + cos_x_ * v.z;
+    return {cos_y_ * v.x + sin_y_ * z, cos_x_ * v.y - sin_x_ * v.z, cos_y_ * z - sin_y_ * v.x};
+  }
+  /// Returns the z axis of the camera frame, the normal of the sensor, in the lens frame.
+  Vector3<T> normal() const { return {-sin_y_, cos_y_ * sin_x_, cos_y_ * cos_x_}; }
+
+ private:
+  T cos_x_, sin_x_, cos_y_, sin_y_;
+};
+
+/// Returns the displacement of the ideal image point (x, y) by distortion, all in mm in the lens
 /// frame (Brown-Conrady; paper, section 2.1). At the magnification m, which is negative, the first
 /// order of the radial distortion is Q1 + Q1_m |m|.
 template <typename T>
@@ -131,11 +160,11 @@ Vector2<T> distortion(const MainLens<T>& lens, const T& magnification, const T& 
           y * radial + t[1] * (r2 + 2.0 * y * y) + t[0] * xy};
 }
 
-/// Returns p', the image of a point in the camera frame through the main lens: K(F) and the
+/// Returns p', the image of a point through the main lens, both in the lens frame: K(F) and the
 /// distortion of Eq. (completemodel), and the field curvature. Returns no value if the point is not
 /// beyond the focal plane.
 template <typename T>
-std::optional<Vector3<T>> main_lens_image(const MainLens<T>& lens, const Vector3<T>& point) {
+std::optional<Vector3<T>> image_along_axis(const MainLens<T>& lens, const Vector3<T>& point) {
   const T beyond_focus = point.z - lens.focal_length;
   if (!(beyond_focus > 0.0)) return std::nullopt;
   const T magnification = -lens.focal_length / beyond_focus;
@@ -145,6 +174,16 @@ std::optional<Vector3<T>> main_lens_image(const MainLens<T>& lens, const Vector3
   const T curvature = lens.field_curvature - lens.field_curvature_growth * magnification;
   return Vector3<T>{x + shift.x, y + shift.y,
                     magnification * point.z + curvature * (x * x + y * y)};
+}
+
+/// Returns p', the image of a point through the main lens, both in the camera frame, like
+/// `image_along_axis`.
+template <typename T>
+std::optional<Vector3<T>> main_lens_image(const MainLens<T>& lens, const Vector3<T>& point) {
+  const LensFrame<T> frame(lens);
+  const std::optional<Vector3<T>> image = image_along_axis(lens, frame.of_camera(point));
+  if (!image) return std::nullopt;
+  return frame.to_camera(*image);
 }
 
 /// Returns the pupil magnification p = 1 + e_z/F, the ratio of the diameters of exit pupil and
@@ -266,9 +305,10 @@ class ArrayOptics {
   /// Returns the centre of a micro-image, where the ray from the centre P of the exit pupil through
   /// the centre C of the micro-lens meets the sensor. It is finite if the micro-lens lies behind
   /// the pupil.
-  Pixel<T> micro_image_center(const ExitPupil<T>& pupil, const Node& node) const {
+  Pixel<T> micro_image_center(const LensFrame<T>& frame, const ExitPupil<T>& pupil,
+                              const Node& node) const {
     const Vector3<T> center = micro_lens_center(node);
-    const Vector3<T> origin = pupil.seen_from(center);
+    const Vector3<T> origin = frame.to_camera(pupil.seen_from(frame.of_camera(center)));
     const T scale = (sensor_z_ - origin.z) / (center.z - origin.z);
     return {to_u(origin.x + scale * (center.x - origin.x)),
             to_v(origin.y + scale * (center.y - origin.y))};

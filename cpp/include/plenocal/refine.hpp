@@ -77,8 +77,9 @@ struct CostOptions {
   /// Names of shared parameters (`shared_names`) that are fixed. By default the camera is the
   /// paper's, with the exit pupil in the lens, constant distortion, a flat field and one pitch of
   /// the array, and the board is known.
-  std::set<std::string> fixed = {"Q1_m", "kappa",    "kappa_m", "e_x",   "e_y",   "e_z",
-                                 "e_r",  "dC_ratio", "sag_x",   "sag_y", "twist", "aspect"};
+  std::set<std::string> fixed = {"Q1_m",  "kappa", "kappa_m", "omega_x", "omega_y",
+                                 "e_x",   "e_y",   "e_z",     "e_r",     "dC_ratio",
+                                 "sag_x", "sag_y", "twist",   "aspect"};
   /// Indices of poses that are fixed.
   std::vector<int> fixed_poses;
   std::vector<Prior> priors;

@@ -252,7 +252,8 @@ struct WeightedCenter {
   double weight;           ///< 1 / sigma, 1/px
 };
 
-/// Residuals (u, v) / sigma of micro-image centres, 2 each. Parameter blocks: exit pupil, array.
+/// Residuals (u, v) / sigma of micro-image centres, 2 each. Parameter blocks: main lens (only its
+/// rotation), exit pupil, array.
 class CenterResiduals {
  public:
   static constexpr int kResiduals = 2;
@@ -269,13 +270,15 @@ class CenterResiduals {
   }
 
   template <typename T>
-  PLENOCAL_FLATTEN bool operator()(const T* exit_pupil, const T* array, T* residuals) const {
+  PLENOCAL_FLATTEN bool operator()(const T* lens, const T* exit_pupil, const T* array,
+                                   T* residuals) const {
+    const LensFrame<T> frame(from_block<MainLens>(lens));
     const auto pupil = from_block<ExitPupil>(exit_pupil);
     const auto mla = from_block<MicroLensArray>(array);
     if (!(pupil.z + mla.lens_to_mla > 0.0)) return false;
     const ArrayOptics<T> optics(mla, pixel_size_);
     for (const WeightedCenter& c : centers_) {
-      const Pixel<T> pixel = optics.micro_image_center(pupil, c.node);
+      const Pixel<T> pixel = optics.micro_image_center(frame, pupil, c.node);
       residuals[0] = (pixel.u - c.observed.u) * c.weight;
       residuals[1] = (pixel.v - c.observed.v) * c.weight;
       apply_loss(loss_, kResiduals, residuals);
@@ -288,8 +291,9 @@ class CenterResiduals {
   static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedCenter> centers,
                                                      double pixel_size, Loss loss) {
     const int n = kResiduals * static_cast<int>(centers.size());
-    return std::make_unique<ceres::AutoDiffCostFunction<CenterResiduals, ceres::DYNAMIC,
-                                                        kExitPupilParameters, kArrayParameters>>(
+    return std::make_unique<
+        ceres::AutoDiffCostFunction<CenterResiduals, ceres::DYNAMIC, kMainLensParameters,
+                                    kExitPupilParameters, kArrayParameters>>(
         new CenterResiduals(std::move(centers), pixel_size, loss), n);
   }
 

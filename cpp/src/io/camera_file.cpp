@@ -52,7 +52,8 @@ void require_known_fields(const Field& root) {
   root["main_lens"].require_keys(
       {"focal_length_mm", "q1_per_mm2", "q2_per_mm4", "q3_per_mm6", "q1_growth_per_mm2",
        "p1_per_mm", "p2_per_mm", "field_curvature_per_mm", "field_curvature_growth_per_mm",
-       "exit_pupil_mm", "pupil_aberration_per_mm", "f_number", "focus_distance_mm"});
+       "rotation_rad", "exit_pupil_mm", "pupil_aberration_per_mm", "f_number",
+       "focus_distance_mm"});
   root["micro_lens_array"].require_keys({"lattice", "columns", "rows", "shifted", "lens_to_mla_mm",
                                          "mla_to_sensor_mm", "rotation_rad", "offset_mm",
                                          "pitch_mm", "pitch_ratio", "focal_lengths_mm",
@@ -67,13 +68,14 @@ void require_distances(const Field& boards) {
 }
 
 // Adds fields that older files do not have, which are 0 there: exit pupil, its aberration, field
-// curvature, and the growth of distortion.
+// curvature, the growth of distortion, and the rotation of the lens.
 void complete(Json* json) {
   const auto lens = json->find("main_lens");
   if (lens == json->end() || !lens->is_object()) return;
   const auto add = [&lens](const char* key, const Json& value) {
     if (!lens->contains(key) || (*lens)[key].is_null()) (*lens)[key] = value;
   };
+  add("rotation_rad", {0.0, 0.0});
   add("exit_pupil_mm", {0.0, 0.0, 0.0});
   add("pupil_aberration_per_mm", 0.0);
   add("q1_growth_per_mm2", 0.0);

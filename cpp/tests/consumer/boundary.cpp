@@ -291,8 +291,8 @@ void use_functors(const Camera& camera, const std::vector<Pose>& poses, const Ob
   problem.AddResidualBlock(FeatureResiduals<3, false, true>::create(features, s, {}).release(),
                            nullptr, lens.data(), array.data(), focal_lengths.data(), rig.data(),
                            pose.data());
-  problem.AddResidualBlock(CenterResiduals::create(centers, s, {}).release(), nullptr, pupil.data(),
-                           array.data());
+  problem.AddResidualBlock(CenterResiduals::create(centers, s, {}).release(), nullptr, lens.data(),
+                           pupil.data(), array.data());
   problem.AddResidualBlock(SlopeResidual::create(0.2, 10.0).release(), nullptr, lens.data(),
                            pupil.data(), array.data());
   problem.AddResidualBlock(InterceptResidual<3>::create(1, 0.04, 10.0).release(), nullptr,
