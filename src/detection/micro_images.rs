@@ -278,11 +278,19 @@ impl MicroImages {
     fn optics_at(&self, place: &Vector2<f64>, lens_type: usize) -> MicroOptics {
         let from_middle = place - self.middle;
         let growth = self.growth_per_px.dot(&from_middle);
+        let half_pitch_px = self.grid.pitch_px / 2.0;
+        // Neighbours may be of any type.
+        let blur_px = |q_prime: &f64| {
+            (self.aperture_ratio * (q_prime * (1.0 + growth) - half_pitch_px)).abs()
+        };
+        let widest_px = self.q_prime_px.iter().map(blur_px).fold(0.0, f64::max);
+        let overlap_px = (self.pupil_px * (1.0 + growth) + widest_px - half_pitch_px).max(0.0);
         MicroOptics {
             lens_type,
             pupil_px: self.pupil_px * (1.0 + growth),
             q_prime_px: self.q_prime_px[lens_type] * (1.0 + growth),
-            half_pitch_px: self.grid.pitch_px / 2.0,
+            half_pitch_px,
+            alone_px: half_pitch_px - overlap_px,
             aperture_ratio: self.aperture_ratio,
             obliquity: Obliquity {
                 gradient_per_px: self.fall_off.gradient(place),

@@ -13,6 +13,9 @@ pub struct MicroOptics {
     pub q_prime_px: f64,
     /// Half the micro-image pitch Δc/2, px.
     pub half_pitch_px: f64,
+    /// Distance from the centre up to which there is no light of neighbours, px: half the pitch, or less if micro-images
+    /// overlap.
+    pub alone_px: f64,
     /// Aperture ratio φ.
     pub aperture_ratio: f64,
     /// Angular response.
@@ -66,15 +69,15 @@ impl MicroOptics {
         self.pupil_px + self.q_px().abs()
     }
 
-    /// Returns the distance from the centre that its own light reaches, px: light beyond half the pitch may be a neighbour's.
+    /// Returns the distance from the centre that its own light reaches without light of neighbours, px.
     #[must_use]
     pub fn reach_px(&self) -> f64 {
-        self.outer_radius_px().min(self.half_pitch_px)
+        self.outer_radius_px().min(self.alone_px)
     }
 
     /// Returns the distance from the centre up to which light of a point with the blur radius ρ comes through the pupil, px.
     #[must_use]
     pub fn lit_px(&self, rho_px: f64) -> f64 {
-        (self.pupil_px + (rho_px - self.q_px()).abs()).min(self.half_pitch_px)
+        (self.pupil_px + (rho_px - self.q_px()).abs()).min(self.alone_px)
     }
 }

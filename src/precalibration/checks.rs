@@ -1,6 +1,7 @@
 //! Checks whether white images belong together and to the stated camera, and findings for the user.
 
 use super::disc_geometry::DiscGeometry;
+use super::f_numbers::OVERLAP;
 use super::grid::MicroImageArray;
 use super::options::White;
 use super::pattern::Pattern;
@@ -8,7 +9,7 @@ use super::radii::{REACH, profile_at};
 use super::samples::Samples;
 use crate::checks::whites as checks;
 use crate::error::{Error, Result};
-use crate::finding::Finding;
+use crate::finding::{Finding, Issue};
 use crate::image::Grey;
 use crate::model::{Datasheet, InternalParameters, Sensor, positive};
 use crate::quantity::counted;
@@ -113,18 +114,48 @@ pub fn check_stated_pitch(
     Ok(())
 }
 
-/// Returns a finding if the micro-images of the reference do not have the size of its f-number.
-pub(super) fn different_aperture(
-    (reference, grey): (&White, &Grey),
-    geometry: &DiscGeometry,
-    samples: &Samples,
-    pattern: &Pattern,
-) -> Option<Finding> {
-    let (middle, pattern) = samples.middle_of(grey, pattern);
-    let profile = profile_at((&middle, grey.floor()), &pattern, samples.nodes.first()?);
-    let (a, b) = geometry.radii(0);
-    let radius = profile.fit(REACH * pattern.pitch(), geometry.point_spread_px2(), None)?.outer;
-    let looks_like = reference.f_number * a / (radius - b);
-    checks::aperture(reference.f_number, radius, a + b, looks_like)
-        .map(|finding| finding.about_image(&reference.name))
+/// Outer radius of micro-images of type 1 in the reference, as measured and as expected at its f-number.
+pub(super) struct ReferenceRadius {
+    radius_px: f64,
+    /// Radius a of the pupil, and blur radius |φqᵢ|, px.
+    expected_px: (f64, f64),
+}
+
+impl ReferenceRadius {
+    /// Measures the radius; `None` if micro-images in the middle of the image are not complete.
+    pub fn measure(
+        grey: &Grey,
+        geometry: &DiscGeometry,
+        samples: &Samples,
+        pattern: &Pattern,
+    ) -> Option<Self> {
+        let (middle, pattern) = samples.middle_of(grey, pattern);
+        let profile = profile_at((&middle, grey.floor()), &pattern, samples.nodes.first()?);
+        let fit = profile.fit(REACH * pattern.pitch(), geometry.point_spread_px2(), None)?;
+        Some(Self { radius_px: fit.outer, expected_px: geometry.radii(0) })
+    }
+
+    /// Returns a finding if micro-images overlap, as measured and as expected: those of a wrong f-number have another size. Also
+    /// returns the f-number from which on they lie apart.
+    pub fn overlapping(
+        &self,
+        f_number: f64,
+        geometry: &DiscGeometry,
+        half_pitch_px: f64,
+    ) -> Option<(Issue, f64)> {
+        let ((pupil, blur), widest) = (self.expected_px, geometry.widest_blur_px());
+        let part = (pupil + widest) / half_pitch_px - 1.0;
+        let least = part.min((self.radius_px + widest - blur) / half_pitch_px - 1.0);
+        let apart = f_number * pupil / (half_pitch_px - widest);
+        let issue = Issue::MicroImagesOverlap { f_number, apart, part };
+        (least > OVERLAP).then_some((issue, apart))
+    }
+
+    /// Returns a finding if micro-images do not have the size of the f-number.
+    pub fn different_aperture(&self, reference: &White) -> Option<Finding> {
+        let (pupil, blur) = self.expected_px;
+        let looks_like = reference.f_number * pupil / (self.radius_px - blur);
+        checks::aperture(reference.f_number, self.radius_px, pupil + blur, looks_like)
+            .map(|finding| finding.about_image(&reference.name))
+    }
 }

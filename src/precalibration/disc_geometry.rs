@@ -69,6 +69,11 @@ impl DiscGeometry {
         (self.pupil_px, self.q_px[lens_type].abs())
     }
 
+    /// Returns the largest blur radius |φqᵢ| of the pupil, px.
+    pub fn widest_blur_px(&self) -> f64 {
+        self.q_px.iter().fold(0.0, |widest: f64, q| widest.max(q.abs()))
+    }
+
     /// Computes the light up to a distance from the middle, px, where d is larger by the fraction `growth`. `law` is
     /// the angular response inside a micro-image without growth.
     pub fn light(

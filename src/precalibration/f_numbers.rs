@@ -16,32 +16,39 @@ const OUT_OF_LINE: f64 = 8.0;
 /// Fewest white images for a comparison of explanations. Only with more do the others show how straight their lines
 /// are.
 const FEWEST_TO_JUDGE: usize = 4;
+/// Fewest white images that measure m and q' without one whose micro-images overlap.
+const FEWEST_WITHOUT_OVERLAP: usize = 2;
 /// Root mean square deviation of radii from straight lines, relative, up to which they are on the lines.
 const STRAIGHT: f64 = 0.01;
 /// Ratio of these deviations above which one explanation is better than another.
 const BETTER: f64 = 2.0;
 
-/// A white image whose f-number contradicts the others.
+/// Excess of the radius of micro-images over half the pitch, relative, above which they overlap.
+pub(super) const OVERLAP: f64 = 0.02;
+
+/// A white image that is not like the others: micro-images overlap, or its f-number is wrong.
 pub(super) struct Doubt {
     /// Index of the white image.
     pub white: usize,
-    /// F-number that matches the size of its micro-images, by lines through the other images, if these agree without
-    /// it.
-    pub looks_like: Option<f64>,
+    /// F-number of the size of its micro-images, by lines through the other images, if the image is to be left out.
+    pub f_number: Option<f64>,
     /// Finding for the user.
     pub finding: Finding,
 }
 
-/// Finds the white image that contradicts the others, if one does. Returns an error if the f-numbers fit in another
-/// order: micro-images are larger at a smaller f-number.
+/// Finds the white image with the widest micro-images if these overlap, or else the one that contradicts the others, if one
+/// does. Returns an error if the f-numbers fit in another order: micro-images are larger at a smaller f-number.
 pub(super) fn doubtful(
     whites: &[White],
     radii: &[RadiusMeasurement],
-    types: usize,
+    (types, half_pitch_px): (usize, f64),
     configuration: Configuration,
 ) -> Result<Option<Doubt>> {
     let sizes = Sizes { whites, radii, types, configuration };
     let stated: Vec<f64> = whites.iter().map(|white| white.f_number).collect();
+    if let Some(doubt) = sizes.overlapping(&stated, half_pitch_px) {
+        return Ok(Some(doubt));
+    }
     let without: Vec<Option<Lines>> =
         (0..whites.len()).map(|i| sizes.lines(&stated, Some(i))).collect();
     let contradicts = |i: usize| {
@@ -76,7 +83,7 @@ pub(super) fn doubtful(
         Finding::caution(Issue::FNumberContradicted { f_number, radius_px, expected_px })
             .about_image(&whites[worst].name)
     });
-    Ok(finding.map(|finding| Doubt { white: worst, looks_like: None, finding }))
+    Ok(finding.map(|finding| Doubt { white: worst, f_number: None, finding }))
 }
 
 /// Lines ϱ = m/N + |qᵢ|, px.
@@ -144,6 +151,25 @@ impl Sizes<'_> {
         assigned
     }
 
+    /// Returns the white image at the smallest f-number if its micro-images overlap, as measured and as the others predict.
+    fn overlapping(&self, stated: &[f64], half_pitch_px: f64) -> Option<Doubt> {
+        let white = (0..stated.len()).min_by(|a, b| stated[*a].total_cmp(&stated[*b]))?;
+        let mut others: Vec<f64> = stated.to_vec();
+        others.retain(|f_number| *f_number > stated[white]);
+        if others.len() < FEWEST_WITHOUT_OVERLAP || others.len() + 1 < stated.len() {
+            return None;
+        }
+        let lines = self.lines(stated, Some(white)).filter(|lines| lines.off < STRAIGHT)?;
+        let (f_number, widest) = (stated[white], lines.q.iter().copied().fold(0.0, f64::max));
+        // Micro-images of a wrong f-number have another size, and need not overlap.
+        let seen = self.of(white).iter().map(|m| m.radius_px).fold(0.0, f64::max);
+        let is_wide = (lines.m / f_number + widest).min(seen) > (1.0 + OVERLAP) * half_pitch_px;
+        let apart = lines.m / (half_pitch_px - widest);
+        let finding = Finding::note(Issue::WhitesOverlap { f_number, apart })
+            .about_image(&self.whites[white].name);
+        is_wide.then_some(Doubt { white, f_number: Some(f_number), finding })
+    }
+
     fn in_another_order(&self, by_size: &[f64]) -> Error {
         #[allow(clippy::float_cmp)] // the same numbers, in another order
         let is_other = |(white, n): &(&White, &f64)| white.f_number != **n;
@@ -165,6 +191,6 @@ impl Sizes<'_> {
         let White { name, f_number, .. } = &self.whites[white];
         let issue = Issue::FNumberLeftOut { f_number: *f_number, looks_like };
         let finding = Finding::caution(issue).about_image(name);
-        Doubt { white, looks_like: Some(looks_like), finding }
+        Doubt { white, f_number: Some(looks_like), finding }
     }
 }

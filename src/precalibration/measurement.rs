@@ -6,7 +6,7 @@ use super::array::FoundArray;
 use super::array_search::{found_array, patterns};
 use super::black::black_level;
 use super::centroid_shift::{corrected_array, shift_moments};
-use super::checks::{different_aperture, doubtful_colors, named};
+use super::checks::{ReferenceRadius, doubtful_colors, named};
 use super::disc_geometry::DiscGeometry;
 use super::discs::Discs;
 use super::f_numbers::{Doubt, doubtful};
@@ -42,8 +42,10 @@ pub(super) fn measured(
     let (samples, by_profile) = samples.by_lens_type(lens_types.types, by_color)?;
 
     let by_images = samples.measurements(&by_profile);
-    let doubt = doubtful(whites, &by_images, lens_types.types, options.configuration)?;
-    if let Some((doubt, f_number)) = doubt.as_ref().and_then(|d| Some((d, d.looks_like?))) {
+    let half_pitch_px = found.array.grid.pitch_px / 2.0;
+    let sizes = (lens_types.types, half_pitch_px);
+    let doubt = doubtful(whites, &by_images, sizes, options.configuration)?;
+    if let Some((doubt, f_number)) = doubt.as_ref().and_then(|d| Some((d, d.f_number?))) {
         return without((doubt, f_number), whites, reference, options);
     }
 
@@ -51,6 +53,18 @@ pub(super) fn measured(
     let seen_pitch_px = found.array.grid.pitch_px;
     let lines =
         samples.fit_internal(&mut samples.measurements(&by_profile), seen_pitch_px)?.parameters;
+    let geometry = DiscGeometry::new(&lines, reference.f_number, seen_pitch_px, options);
+    let radius = ReferenceRadius::measure(&grey, &geometry, &samples, &found.pattern);
+    let overlap = radius.and_then(|r| r.overlapping(reference.f_number, &geometry, half_pitch_px));
+    if let Some((overlap, apart)) = overlap {
+        let others = whites.iter().filter(|white| white.f_number >= apart);
+        let other = others.min_by(|a, b| a.f_number.total_cmp(&b.f_number));
+        if let Some(other) = other.filter(|other| other.name != reference.name) {
+            let (mut result, discs) = measured(whites, other, options, &|| ())?;
+            result.findings.push(Finding::note(overlap));
+            return Ok((result, discs));
+        }
+    }
     let light = Light::read(&found, &samples, (reference.f_number, &grey));
     let cos4 = in_the_middle(None, &lines, seen_pitch_px, options);
     let mut first = light.fall_off(&lines, options, &cos4);
@@ -90,9 +104,9 @@ pub(super) fn measured(
     internal.parameters.levels = Some(levels);
     let wrong_f_number = doubt.map(|doubt| doubt.finding);
     // With a wrong f-number the lines cannot judge the aperture of the reference.
-    let wrong_aperture =
-        different_aperture((reference, &grey), &geometry, &samples, &found.pattern)
-            .filter(|_| wrong_f_number.is_none());
+    let wrong_aperture = ReferenceRadius::measure(&grey, &geometry, &samples, &found.pattern)
+        .and_then(|radius| radius.different_aperture(reference))
+        .filter(|_| wrong_f_number.is_none());
     let by_lines = by_lines(discs, options.estimator, &mut internal.parameters);
     internal.parameters.vignetting = vignetting(&grey, &array.centers, array.grid.pitch_px);
     let oblong = checks::roundness(internal.parameters.vignetting);
@@ -126,7 +140,7 @@ fn located(
     Ok(found)
 }
 
-/// Repeats the measurement without a white image whose f-number cannot be right.
+/// Repeats the measurement without a white image whose micro-images cannot be measured, or whose f-number cannot be right.
 fn without(
     (doubt, f_number): (&Doubt, f64),
     whites: &[White],

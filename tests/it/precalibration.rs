@@ -304,6 +304,36 @@ fn a_white_image_at_another_f_number_than_stated_is_left_out() {
     assert_eq!(found.images, ["white 1", "white 2", "white 4", "white 5"]);
 }
 
+/// At f/3.2 the micro-images of `mini` overlap by 15 %. The image is told from one at a wrong f-number, and takes no part: neither
+/// in lines and discs nor, as reference, in array and angular response.
+#[test]
+fn overlapping_micro_images_are_no_wrong_f_number() {
+    let settings = preset("mini", &["rays=8", "white_images.f_numbers=[3.2, 4.5, 6.4, 9.0, 12.8]"]);
+    let (mut whites, _) = taken(&settings);
+    whites.iter_mut().zip(1..).for_each(|(white, i)| white.name = format!("white {i}"));
+    let of = |whites: &[White], reference: Option<&White>| {
+        precalibrate(whites, reference, &options(&settings), &|| ()).unwrap()
+    };
+    let (others, widest) = (&whites[1..], &whites[0]);
+    let (found, expected) = (of(&whites, None), of(others, None));
+    assert_eq!(codes(&found.findings), ["overlapping-white-image", "micro-images-overlap"]);
+    let of_reference = of(others, Some(widest));
+    assert_eq!(codes(&of_reference.findings), ["micro-images-overlap"]);
+    for found in [&found, &of_reference] {
+        let Issue::MicroImagesOverlap { apart, part, .. } = found.findings.last().unwrap().issue
+        else {
+            panic!("{}", found.findings[0])
+        };
+        assert!((apart - 4.0).abs() < 0.1 && (part - 0.15).abs() < 0.03, "{apart} {part}");
+        assert_eq!((&found.internal, &found.array), (&expected.internal, &expected.array));
+    }
+    // Taken at f/4.5 and not at the stated f/3.2.
+    let mut wrong = whites[1].clone();
+    wrong.f_number = 3.2;
+    wrong.name = "wrong".to_owned();
+    assert_eq!(codes(&of(others, Some(&wrong)).findings), ["aperture-contradicted"]);
+}
+
 #[test]
 fn swapped_f_numbers_are_named() {
     let small = &*SMALL;

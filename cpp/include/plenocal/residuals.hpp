@@ -290,14 +290,57 @@ class CenterResiduals {
   /// Creates a cost function over these centres.
   static std::unique_ptr<ceres::CostFunction> create(std::vector<WeightedCenter> centers,
                                                      double pixel_size, Loss loss) {
-    const int n = kResiduals * static_cast<int>(centers.size());
-    return std::make_unique<
-        ceres::AutoDiffCostFunction<CenterResiduals, ceres::DYNAMIC, kMainLensParameters,
-                                    kExitPupilParameters, kArrayParameters>>(
-        new CenterResiduals(std::move(centers), pixel_size, loss), n);
+    return std::make_unique<Cost>(
+        std::make_unique<CenterResiduals>(std::move(centers), pixel_size, loss));
   }
 
  private:
+  // Of the main lens, Jets contain only the rotation.
+  class Cost : public ceres::CostFunction {
+   public:
+    explicit Cost(std::unique_ptr<CenterResiduals> residuals) : residuals_(std::move(residuals)) {
+      set_num_residuals(kResiduals * static_cast<int>(residuals_->centers_.size()));
+      *mutable_parameter_block_sizes() = {kMainLensParameters, kPupil, kArray};
+    }
+
+    bool Evaluate(double const* const* blocks, double* values, double** jacobians) const override {
+      if (jacobians == nullptr) return (*residuals_)(blocks[0], blocks[1], blocks[2], values);
+      auto lens = cast<Jet>(from_block<MainLens>(blocks[0]));
+      for (int i = 0; i < kRotation; ++i) lens.rotation[i].v[i] = 1.0;
+      std::array<Jet, kPupil> pupil;
+      for (int i = 0; i < kPupil; ++i) pupil[i] = Jet(blocks[1][i], kRotation + i);
+      std::array<Jet, kArray> array;
+      for (int i = 0; i < kArray; ++i) array[i] = Jet(blocks[2][i], kRotation + kPupil + i);
+      std::vector<Jet> residuals(num_residuals());
+      if (!(*residuals_)(to_block(lens).data(), pupil.data(), array.data(), residuals.data())) {
+        return false;
+      }
+      for (int row = 0; row < num_residuals(); ++row) {
+        values[row] = residuals[row].a;
+        const double* derivatives = residuals[row].v.data();
+        if (jacobians[0] != nullptr) {
+          MainLens<double> by_lens{};
+          std::copy_n(derivatives, kRotation, by_lens.rotation);
+          const auto block = to_block(by_lens);
+          std::copy(block.begin(), block.end(), jacobians[0] + row * kMainLensParameters);
+        }
+        if (jacobians[1] != nullptr) {
+          std::copy_n(derivatives + kRotation, kPupil, jacobians[1] + row * kPupil);
+        }
+        if (jacobians[2] != nullptr) {
+          std::copy_n(derivatives + kRotation + kPupil, kArray, jacobians[2] + row * kArray);
+        }
+      }
+      return true;
+    }
+
+   private:
+    static constexpr int kRotation = 2, kPupil = kExitPupilParameters, kArray = kArrayParameters;
+    using Jet = ceres::Jet<double, kRotation + kPupil + kArray>;
+
+    std::unique_ptr<CenterResiduals> residuals_;
+  };
+
   std::vector<WeightedCenter> centers_;
   double pixel_size_;
   Loss loss_;
