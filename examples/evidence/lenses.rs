@@ -2,7 +2,7 @@
 
 use plenocal::Result;
 use plenocal::assessment::ParameterError;
-use plenocal::calibration::CalibrationOptions;
+use plenocal::calibration::{CalibrationOptions, LensTilt};
 use plenocal::quantity::fixed;
 use plenocal::simulation::{LensFigures, Settings};
 
@@ -75,6 +75,86 @@ pub fn errors(extent: &Extent) -> Result<Vec<String>> {
         seed - 1
     );
     Ok(vec![table.with(&coverage)])
+}
+
+/// Presets of tilted lenses, with ωx and ωy, mrad.
+const TILTED: [(&str, [f64; 2]); 6] = [
+    ("mini", [7.0, 4.0]),
+    ("mini", [-3.0, 6.0]),
+    ("mini", [0.0, 0.0]),
+    ("keplerian", [7.0, 4.0]),
+    ("mini-double-gauss", [7.0, 4.0]),
+    ("mini-retrofocus", [-3.0, 6.0]),
+];
+const TILTED_SEED: u64 = 9851;
+
+/// Calibrates cameras whose main lens is tilted against the sensor, with and without the tilt as parameters.
+pub fn tilted(extent: &Extent) -> Result<Vec<String>> {
+    let mut table = Table::new(&[
+        "camera",
+        "ωx, ωy, mrad",
+        "error, mrad",
+        "F",
+        "d",
+        "u₀, px",
+        "v₀, px",
+        "others, largest",
+        "held-out boards, px",
+        "without ω: F",
+        "u₀, v₀, px",
+        "held-out boards, px",
+    ]);
+    let cameras = TILTED.into_iter().take(extent.or_few(TILTED.len(), 1));
+    for (seed, (preset, tilt)) in (TILTED_SEED..).zip(cameras) {
+        step(&format!("{preset}, {tilt:?} mrad, seed {seed}"));
+        let rotation = tilt.map(|mrad| mrad * 1e-3);
+        let replaced = [
+            format!("camera.main_lens.rotation_rad={rotation:?}"),
+            format!("seed={seed}"),
+            "rays=16".to_owned(),
+        ];
+        let camera =
+            Calibrated::of(Settings::preset(preset, &replaced)?, &CalibrationOptions::default())?;
+        let untilted = CalibrationOptions { lens_tilt: LensTilt::None, ..Default::default() };
+        let without = camera.again(&untilted)?;
+        let evaluation = camera.evaluation(&[&camera.calibration, &without], 0)?;
+        let held_out = |i: usize| {
+            let found = evaluation.candidates[i].evaluation.as_ref();
+            found.map_or("-".to_owned(), |found| fixed(found.reprojection.rmse().uv_px, 4))
+        };
+        let [with, without] = [&camera.calibration, &without].map(|c| camera.errors(c));
+        let (with, without) = (with?, without?);
+        let std_dev = |error: &ParameterError| error.std_dev.unwrap_or(f64::NAN);
+        let relative = |errors: &[ParameterError], name: &str| {
+            let error = error_of(errors, name);
+            over_sigma(&percent(error.error() / error.truth, 2), error.error(), std_dev(error))
+        };
+        let scaled = |errors: &[ParameterError], name: &str, factor: f64, decimals: usize| {
+            let error = error_of(errors, name);
+            let text = signed(error.error() * factor, decimals);
+            over_sigma(&text, error.error(), std_dev(error))
+        };
+        let mrad = |name: &str| scaled(&with, name, 1e3, 2);
+        let px = |errors: &[ParameterError], name: &str| scaled(errors, name, 1.0, 1);
+        let size = |name: &&str| error_of(&with, name).standardised().unwrap_or(0.0).abs();
+        let other = OTHERS.into_iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+        table.row([
+            format!("`{preset}`"),
+            format!("{}, {}", signed(tilt[0], 0), signed(tilt[1], 0)),
+            format!("{}, {}", mrad("omega_x"), mrad("omega_y")),
+            relative(&with, "F"),
+            relative(&with, "d"),
+            px(&with, "u0"),
+            px(&with, "v0"),
+            other.map_or("-".to_owned(), |name| format!("{name} {}", fixed(size(&name), 1))),
+            held_out(0),
+            relative(&without, "F"),
+            format!("{}, {}", px(&without, "u0"), px(&without, "v0")),
+            held_out(1),
+        ]);
+    }
+    let paragraph = format!("Seeds {TILTED_SEED} and following, row by row.");
+    Ok(vec![table.with(&paragraph)])
 }
 
 /// Errors of a camera.

@@ -89,6 +89,7 @@ fn parts() -> Vec<Part> {
         part!("accuracy/cameras", "1 h", aperture::cameras),
         part!("accuracy/lenses", "70 min", lenses::errors),
         part!("accuracy/decentred-lenses", "4 min", lenses::decentred),
+        part!("accuracy/tilted-lenses", "3 min", lenses::tilted),
         part!("accuracy/board", "5 min", programs::board),
         part!("accuracy/standard-deviations", "5 min", programs::standard_deviations),
         part!("performance/commands", "4 min", commands::times),
