@@ -288,7 +288,7 @@ pub(super) fn stage_results(
         })?;
         let lens = &calibration.camera.main_lens;
         let has_pupil = lens.exit_pupil_mm.norm() > 0.0 || lens.pupil_aberration_per_mm != 0.0;
-        let is_tilted = lens.rotation_rad != [0.0; 2];
+        let is_tilted = lens.rotation_rad.iter().any(|angle| *angle != 0.0);
         if has_pupil || is_tilted || lens.has_curved_field() || lens.q1_growth_per_mm2 != 0.0 {
             say("warning: COMPOTE's files have no exit pupil, no field curvature, no tilt of the \
                  lens and the same distortion at all distances, so intrinsics.js describes another \

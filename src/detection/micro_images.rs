@@ -369,7 +369,7 @@ pub(super) mod tests {
         };
         let internal = InternalParameters {
             m_mm: 0.5 * pitch_px * 0.0055,
-            q_prime_mm: vec![0.9 * pitch_px * 0.0055],
+            q_prime_mm: vec![0.875 * pitch_px * 0.0055],
             micro_image_pitch_mm: None,
             m_std_dev_mm: None,
             q_prime_std_dev_mm: Vec::new(),

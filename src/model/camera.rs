@@ -125,6 +125,14 @@ pub struct PlenopticCamera {
 }
 
 impl PlenopticCamera {
+    /// Returns the pixel position where the optical axis meets the sensor.
+    #[must_use]
+    pub fn axis_px(&self) -> Vector2<f64> {
+        let axis = self.main_lens.camera_from_lens() * Vector3::z();
+        let to_sensor = self.mla.lens_to_mla_mm + self.mla.mla_to_sensor_mm;
+        self.mla.principal_point_px + axis.xy() * (to_sensor / (axis.z * self.sensor.pixel_size_mm))
+    }
+
     /// Returns the number I of lens types.
     #[must_use]
     pub fn lens_types(&self) -> usize {
@@ -186,5 +194,21 @@ pub(crate) fn small_camera() -> PlenopticCamera {
             focal_lengths_mm: vec![0.578, 0.505, 0.552],
         },
         edge_spread: EdgeSpread::default(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tilted_axis_leaves_the_principal_point() {
+        let mut camera = small_camera();
+        assert_eq!(camera.axis_px(), camera.mla.principal_point_px);
+        camera.main_lens.rotation_rad = [0.02, 0.01];
+        let to_sensor_px = (18.5 + 0.33) / 0.0055;
+        let (x, y) = (0.02_f64, 0.01_f64);
+        let off = Vector2::new(y.tan(), -x.tan() / y.cos()) * to_sensor_px;
+        assert!((camera.axis_px() - camera.mla.principal_point_px - off).norm() < 1e-9);
     }
 }

@@ -61,7 +61,7 @@ fn shifts_px(
     // The image is stored upright: pixels run against the optical image.
     let pixel_size = camera.sensor.pixel_size_mm;
     let image_points: Vec<Vector2<f64>> =
-        places.iter().map(|at| (camera.mla.principal_point_px - at) * pixel_size).collect();
+        places.iter().map(|at| (camera.axis_px() - at) * pixel_size).collect();
     let shifts = distortion_mm(camera, &image_points)?;
     Ok(places.into_iter().zip(shifts).map(move |(at, shift)| (at, -shift / pixel_size)))
 }

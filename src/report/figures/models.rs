@@ -61,7 +61,7 @@ fn corners(camera: &PlenopticCamera, residuals: &[FeatureResidual]) -> Vec<Corne
     for r in residuals {
         by_corner.entry((r.feature.frame, r.feature.corner)).or_default().push(r);
     }
-    let axis = Vector2::from(<[f64; 2]>::from(camera.mla.principal_point_px));
+    let axis = camera.axis_px();
     let at = |r: &FeatureResidual| Vector2::new(r.feature.u_px, r.feature.v_px);
     let off = |r: &FeatureResidual| Vector2::new(r.du_px, r.dv_px);
     let corner = |seen: Vec<&FeatureResidual>| {
