@@ -350,7 +350,7 @@ std::optional<MetricPoint> BackProjection::triangulate(const std::vector<Sightin
 std::optional<double> BackProjection::virtual_depth(int k, int l,
                                                     const Vector3<double>& point) const {
   const auto lens = micro_lens(k, l);
-  const auto image = main_lens_image(optics_.main_lens, point);
+  const auto image = unfolded_image(optics_.main_lens, point);
   if (!lens || !image) return std::nullopt;
   const double depth =
       virtual_depth_of(optics_.array, optics_.array.micro_lens_center(lens->node), *image);

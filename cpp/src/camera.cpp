@@ -8,6 +8,8 @@
 namespace plenocal {
 namespace {
 
+constexpr double kRightAngle = 1.5707963267948966;
+
 void require_positive(double value, const std::string& name) {
   if (!is_positive(value)) {
     std::ostringstream text;
@@ -45,6 +47,12 @@ void validate(const Camera& camera) {
     }
     ++parameter;
   });
+  for (const double angle : camera.main_lens.rotation) {
+    if (!(std::abs(angle) < kRightAngle)) {
+      reject("the main lens is rotated by " + std::to_string(angle) +
+             " rad (omega_x, omega_y), but its axis has to meet the sensor: give radians");
+    }
+  }
   const auto require_behind = [](double distance, const std::string& what) {
     if (!is_positive(distance)) reject("the exit pupil (e_z) does not lie " + what);
   };

@@ -769,6 +769,17 @@ INSTANTIATE_TEST_SUITE_P(
             "refused: micro_lens_array.rotation_rad is not angles in rad"},
         Use{"TwoAngles", [] { return read_with("(\"rotation_rad\": \\[\\s*)0.004,", "$01"); },
             "refused: micro_lens_array.rotation_rad"},
+        Use{"LensInDegrees",
+            [] {
+              return read_with("\"main_lens\": \\{", "\"main_lens\": {\"rotation_rad\": [0, 90], ");
+            },
+            "the main lens is rotated by 90"},
+        Use{"ThreeAnglesOfLens",
+            [] {
+              return read_with("\"main_lens\": \\{",
+                               "\"main_lens\": {\"rotation_rad\": [0, 0, 0], ");
+            },
+            "refused: main_lens.rotation_rad is not two angles in rad"},
         Use{"NearIsFar",
             [] {
               return read_with("\"format\"",

@@ -56,7 +56,7 @@ impl PointTrust {
 /// The σ of points at one distance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Distance {
-    /// Distance from the main lens along the axis, mm.
+    /// Distance from the main lens along z, mm.
     pub distance_mm: f64,
     /// True if boards of the calibration were at such distances.
     pub within_boards: bool,

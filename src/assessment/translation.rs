@@ -1,4 +1,4 @@
-//! A board moved in known steps: measured against true displacement along the optical axis (paper,
+//! A board moved in known steps: measured against true displacement along z (paper,
 //! Table 3).
 
 use serde::Serialize;
@@ -18,7 +18,7 @@ pub struct Displacement {
     pub to: u32,
     /// Known displacement, mm; positive away from the camera.
     pub true_mm: f64,
-    /// Measured displacement along the optical axis, mm.
+    /// Measured displacement along z, mm.
     pub measured_mm: f64,
 }
 
@@ -66,7 +66,7 @@ pub struct Displacements {
 }
 
 impl Displacements {
-    /// Computes displacements from distances along the optical axis, by frame. Frames are `step_mm` apart, and
+    /// Computes displacements from distances along z, by frame. Frames are `step_mm` apart, and
     /// some may be missing.
     ///
     /// Distances may have either sign and grow in either direction (`RxLive` measures towards the camera),

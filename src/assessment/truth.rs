@@ -91,7 +91,7 @@ pub fn shape_errors(
 pub struct PoseErrors {
     /// Number of frames.
     pub frames: usize,
-    /// Error of the position of the board across the optical axis, mm.
+    /// Error of the position of the board across z, mm.
     pub across_mm: f64,
     /// Error of the distance of the board, mm.
     pub along_mm: f64,

@@ -108,7 +108,7 @@ pub struct Arguments {
 }
 
 /// Arguments that an exported problem replaces.
-const IN_PROBLEM: [&str; 25] = [
+const IN_PROBLEM: [&str; 26] = [
     "project",
     "params",
     "scene",
@@ -123,6 +123,7 @@ const IN_PROBLEM: [&str; 25] = [
     "pitches",
     "exit_pupil",
     "distortion",
+    "lens_tilt",
     "field_curvature",
     "board",
     "fix",
@@ -290,10 +291,12 @@ pub(super) fn stage_results(
         let has_pupil = lens.exit_pupil_mm.norm() > 0.0 || lens.pupil_aberration_per_mm != 0.0;
         let is_tilted = lens.rotation_rad.iter().any(|angle| *angle != 0.0);
         if has_pupil || is_tilted || lens.has_curved_field() || lens.q1_growth_per_mm2 != 0.0 {
-            say("warning: COMPOTE's files have no exit pupil, no field curvature, no tilt of the \
-                 lens and the same distortion at all distances, so intrinsics.js describes another \
+            say(
+                "warning: intrinsics.js has no exit pupil, no field curvature, no tilt of the lens \
+                 and the same distortion at all distances, so intrinsics.js describes another \
                  camera: calibrate with --exit-pupil at-lens --field-curvature flat --distortion \
-                 constant --lens-tilt none");
+                 constant --lens-tilt none",
+            );
         }
         let folder = Path::new("compote");
         let intrinsics = compote::intrinsics_document(&calibration.camera, grid)?;

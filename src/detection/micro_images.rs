@@ -290,7 +290,7 @@ impl MicroImages {
             pupil_px: self.pupil_px * (1.0 + growth),
             q_prime_px: self.q_prime_px[lens_type] * (1.0 + growth),
             half_pitch_px,
-            alone_px: half_pitch_px - overlap_px,
+            alone_px: (half_pitch_px - overlap_px).max(0.0),
             aperture_ratio: self.aperture_ratio,
             obliquity: Obliquity {
                 gradient_per_px: self.fall_off.gradient(place),

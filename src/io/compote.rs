@@ -181,7 +181,8 @@ pub(super) fn camera_from(value: Value) -> Result<PlenopticCamera> {
     let camera_from_sensor = file.sensor.pose.parent_from_own()?;
     if camera_from_sensor.rotation.angle() > 1e-9 {
         return Err(Error::invalid(
-            "the sensor is rotated relative to the main lens, but the model needs them parallel",
+            "the sensor is rotated relative to the main lens: plenocal does not read this rotation of \
+             COMPOTE's files. Calibrate with COMPOTE's sensor parallel to the lens",
         ));
     }
     let origin = camera_from_sensor.translation.vector;

@@ -1,6 +1,6 @@
 //! Checks of the values of a camera.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 use super::camera::PlenopticCamera;
 use super::checks::positive;
@@ -48,6 +48,13 @@ impl PlenopticCamera {
                 "the array is rotated by ({}, {}, {}) rad (rotation_rad), more than a whole turn: \
                  give radians instead of degrees",
                 self.mla.rotation_rad.x, self.mla.rotation_rad.y, self.mla.rotation_rad.z
+            )));
+        }
+        let [x, y] = self.main_lens.rotation_rad;
+        if x.abs().max(y.abs()) >= FRAC_PI_2 {
+            return Err(Error::invalid(format!(
+                "the main lens is rotated by ({x}, {y}) rad (rotation_rad), but its axis has to meet \
+                 the sensor: give radians instead of degrees"
             )));
         }
         positive(

@@ -29,6 +29,8 @@ pub struct TiltGradient {
 /// σ of the ratio of D + d to the distance from exit pupil to sensor: 1 with the pupil in the lens, 0 for a lens that is
 /// telecentric on the image side.
 const PUPIL: f64 = 0.5;
+/// Number of σ by which a growth of the discs exceeds noise.
+const SURE: f64 = 2.0;
 /// Least σ of a growth of d, used if the growth is nearly 0, px⁻¹.
 const LEAST_GROWTH: f64 = 1e-7;
 
@@ -45,8 +47,9 @@ pub(crate) fn growth_per_px(
     let Some(measured) = tilt_gradient else { return by_perspective };
     Vector2::from_fn(|i, _| {
         let (by_discs, by_perspective) = (measured.growth_per_px[i], by_perspective[i]);
-        // The perspective of a telecentric lens is 0 at any tilt, so the larger estimate states the scale.
-        let std_dev = (PUPIL * by_perspective.abs().max(by_discs.abs())).max(LEAST_GROWTH);
+        // The perspective of a telecentric lens is 0 at any tilt, so the larger estimate states the scale, beyond noise.
+        let sure = by_discs.abs() - SURE * measured.std_dev_per_px[i];
+        let std_dev = (PUPIL * by_perspective.abs().max(sure)).max(LEAST_GROWTH);
         let weights = (measured.std_dev_per_px[i].powi(-2), std_dev.powi(-2));
         (by_discs * weights.0 + by_perspective * weights.1) / (weights.0 + weights.1)
     })
@@ -106,13 +109,17 @@ mod tests {
             by_aperture_ratio_squared_per_px: [0.0; 2],
         };
         // The distance from pupil to sensor is D + d, four times this, and infinite.
-        for (vergence, tolerance) in [(1.0, 1e-12), (0.25, 0.006), (0.0, 0.01)] {
+        for (vergence, tolerance) in [(1.0, 1e-12), (0.25, 0.008), (0.0, 0.012)] {
             let perspective = Vector2::new(1e-5, -2e-5) * vergence / 60.0;
             let growth = growth_per_px(Some(&measured), &perspective, 60.0);
             for (found, truth) in growth.iter().zip([1e-5, -2e-5]) {
                 assert!((found / truth - 1.0).abs() < tolerance, "{vergence}: {growth}");
             }
         }
+        // Discs of 2 σ may be noise.
+        let noisy = TiltGradient { std_dev_per_px: [5e-6, 1e-5], ..measured };
+        let growth = growth_per_px(Some(&noisy), &Vector2::zeros(), 60.0);
+        assert!(growth.norm() < 1e-7, "{growth}");
         // Poor white images leave the tilt to the perspective.
         let poor = TiltGradient { std_dev_per_px: [1e-4; 2], ..measured };
         let growth = growth_per_px(Some(&poor), &Vector2::new(2e-7, -4e-7), 60.0);

@@ -1,7 +1,7 @@
 //! Checks whether white images belong together and to the stated camera, and findings for the user.
 
 use super::disc_geometry::DiscGeometry;
-use super::f_numbers::OVERLAP;
+use super::f_numbers::{OVERLAP, apart};
 use super::grid::MicroImageArray;
 use super::options::White;
 use super::pattern::Pattern;
@@ -146,7 +146,7 @@ impl ReferenceRadius {
         let ((pupil, blur), widest) = (self.expected_px, geometry.widest_blur_px());
         let part = (pupil + widest) / half_pitch_px - 1.0;
         let least = part.min((self.radius_px + widest - blur) / half_pitch_px - 1.0);
-        let apart = f_number * pupil / (half_pitch_px - widest);
+        let apart = apart(f_number * pupil, widest, half_pitch_px)?;
         let issue = Issue::MicroImagesOverlap { f_number, apart, part };
         (least > OVERLAP).then_some((issue, apart))
     }

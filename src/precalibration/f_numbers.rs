@@ -26,6 +26,13 @@ const BETTER: f64 = 2.0;
 /// Excess of the radius of micro-images over half the pitch, relative, above which they overlap.
 pub(super) const OVERLAP: f64 = 0.02;
 
+/// Returns the f-number from which on micro-images lie apart, to the tolerance of their overlap; `None` if they always overlap.
+/// `slope_px` is the radius of the pupil times the f-number, `widest_px` the largest blur radius of the pupil.
+pub(super) fn apart(slope_px: f64, widest_px: f64, half_pitch_px: f64) -> Option<f64> {
+    let room = (1.0 + OVERLAP) * half_pitch_px - widest_px;
+    (room > 0.0).then(|| slope_px / room)
+}
+
 /// A white image that is not like the others: micro-images overlap, or its f-number is wrong.
 pub(super) struct Doubt {
     /// Index of the white image.
@@ -50,7 +57,7 @@ pub(super) fn doubtful(
         return Ok(Some(doubt));
     }
     let without: Vec<Option<Lines>> =
-        (0..whites.len()).map(|i| sizes.lines(&stated, Some(i))).collect();
+        (0..whites.len()).map(|i| sizes.lines(&stated, |other| other != i)).collect();
     let contradicts = |i: usize| {
         let off = sizes.off(i, without[i].as_ref()?).abs();
         let usual = without[i].as_ref()?.off;
@@ -66,7 +73,7 @@ pub(super) fn doubtful(
     order.sort_by(|a, b| off(a).total_cmp(&off(b)));
     let (best, next) = (order[0], order[1]);
     let by_size = sizes.by_size(&stated);
-    if let Some(lines) = sizes.lines(&by_size, None)
+    if let Some(lines) = sizes.lines(&by_size, |_| true)
         && by_size != stated
         && lines.off < STRAIGHT
         && (whites.len() < FEWEST_TO_JUDGE || lines.off < BETTER * off(&best))
@@ -117,9 +124,9 @@ impl Sizes<'_> {
         self.of(white).iter().map(|m| m.radius_px).sum::<f64>() / self.types as f64
     }
 
-    /// Fits lines to the radii of all images except one, with these f-numbers.
-    fn lines(&self, f_numbers: &[f64], without: Option<usize>) -> Option<Lines> {
-        let kept = (0..self.whites.len()).filter(|i| Some(*i) != without);
+    /// Fits lines to the radii of some of the images, with these f-numbers.
+    fn lines(&self, f_numbers: &[f64], takes_part: impl Fn(usize) -> bool) -> Option<Lines> {
+        let kept = (0..self.whites.len()).filter(|i| takes_part(*i));
         let mut all: Vec<RadiusMeasurement> = kept
             .flat_map(|i| self.of(i).iter().map(move |m| (i, m)))
             .map(|(i, m)| RadiusMeasurement { f_number: f_numbers[i], ..m.clone() })
@@ -151,20 +158,23 @@ impl Sizes<'_> {
         assigned
     }
 
-    /// Returns the white image at the smallest f-number if its micro-images overlap, as measured and as the others predict.
+    /// Returns the white image at the smallest f-number if its micro-images overlap, as measured and as those at larger f-numbers
+    /// predict.
     fn overlapping(&self, stated: &[f64], half_pitch_px: f64) -> Option<Doubt> {
+        let mut f_numbers = stated.to_vec();
+        f_numbers.sort_by(f64::total_cmp);
+        f_numbers.dedup();
         let white = (0..stated.len()).min_by(|a, b| stated[*a].total_cmp(&stated[*b]))?;
-        let mut others: Vec<f64> = stated.to_vec();
-        others.retain(|f_number| *f_number > stated[white]);
-        if others.len() < FEWEST_WITHOUT_OVERLAP || others.len() + 1 < stated.len() {
-            return None;
-        }
-        let lines = self.lines(stated, Some(white)).filter(|lines| lines.off < STRAIGHT)?;
+        // Those at the next f-numbers may overlap too.
+        let without = 1..=f_numbers.len().saturating_sub(FEWEST_WITHOUT_OVERLAP);
+        let lines = without
+            .filter_map(|count| self.lines(stated, |i| stated[i] >= f_numbers[count]))
+            .find(|lines| lines.off < STRAIGHT)?;
         let (f_number, widest) = (stated[white], lines.q.iter().copied().fold(0.0, f64::max));
         // Micro-images of a wrong f-number have another size, and need not overlap.
         let seen = self.of(white).iter().map(|m| m.radius_px).fold(0.0, f64::max);
         let is_wide = (lines.m / f_number + widest).min(seen) > (1.0 + OVERLAP) * half_pitch_px;
-        let apart = lines.m / (half_pitch_px - widest);
+        let apart = apart(lines.m, widest, half_pitch_px)?;
         let finding = Finding::note(Issue::WhitesOverlap { f_number, apart })
             .about_image(&self.whites[white].name);
         is_wide.then_some(Doubt { white, f_number: Some(f_number), finding })

@@ -56,14 +56,17 @@ pub(super) fn measured(
     let geometry = DiscGeometry::new(&lines, reference.f_number, seen_pitch_px, options);
     let radius = ReferenceRadius::measure(&grey, &geometry, &samples, &found.pattern);
     let overlap = radius.and_then(|r| r.overlapping(reference.f_number, &geometry, half_pitch_px));
+    let mut everywhere = None;
     if let Some((overlap, apart)) = overlap {
         let others = whites.iter().filter(|white| white.f_number >= apart);
         let other = others.min_by(|a, b| a.f_number.total_cmp(&b.f_number));
         if let Some(other) = other.filter(|other| other.name != reference.name) {
             let (mut result, discs) = measured(whites, other, options, &|| ())?;
-            result.findings.push(Finding::note(overlap));
+            result.findings.push(Finding::note(overlap).about_image(&reference.name));
             return Ok((result, discs));
         }
+        // No white image shows the array and the angular response without overlap.
+        everywhere = Some(Finding::caution(overlap).about_image(&reference.name));
     }
     let light = Light::read(&found, &samples, (reference.f_number, &grey));
     let cos4 = in_the_middle(None, &lines, seen_pitch_px, options);
@@ -113,7 +116,7 @@ pub(super) fn measured(
     let types = checks::lens_types(lens_types.agreement);
     // A wrong f-number explains why there are no discs.
     let by_light = wrong_f_number.or(by_lines);
-    let told = [by_light, wrong_aperture, oblong, types, unknown_fall_off, black];
+    let told = [by_light, wrong_aperture, everywhere, oblong, types, unknown_fall_off, black];
     let findings = doubtful_colors(whites).into_iter().chain(told.into_iter().flatten()).collect();
     let images = whites.iter().map(|white| white.name.clone()).collect();
     let measured =

@@ -42,7 +42,7 @@ pub(super) struct MicroLenses {
     pub opening_radius: f64,
     /// Diameter of the openings over the pitch.
     pub aperture_ratio: f64,
-    /// Distance of the sensor from the main lens, along its normal.
+    /// Distance of the sensor from the main lens along the normal of the sensor.
     lens_to_sensor: f64,
     pub pixel_size: f64,
     principal_point: Vector2<f64>,

@@ -252,7 +252,7 @@ fn distinct(poses: Vec<FramePose>) -> Result<Vec<FramePose>> {
 fn translation_poses(settings: &Settings) -> Vec<FramePose> {
     let stage = &settings.translation;
     let sensor = &settings.camera.sensor;
-    // The linear stage moves along the optical axis; the board starts in the middle of the image.
+    // The linear stage moves along z; the board starts in the middle of the image.
     let offset = (sensor.center_px() - settings.camera.mla.principal_point_px)
         * (stage.start_mm / focal_length_px(settings));
     (0..stage.images)

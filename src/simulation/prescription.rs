@@ -34,7 +34,7 @@ pub struct Surface {
     pub index: f64,
     /// Half the diameter of the opening, mm; for the stop, with the lens fully open.
     pub semi_diameter_mm: f64,
-    /// Place of the vertex off the optical axis, along x and y of the camera frame, mm: an error of the mount.
+    /// Place of the vertex off the optical axis, along x and y of the lens frame, mm: an error of the mount.
     #[serde(default, skip_serializing_if = "is_centred")]
     pub decentre_mm: [f64; 2],
     /// True for the stop, which is a plane within one medium.

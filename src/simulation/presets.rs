@@ -231,7 +231,8 @@ fn settings_from(
 
 /// Moves the optical axis to a place from the middle of the sensor. The array keeps its place on the sensor.
 fn move_axis(camera: &mut PlenopticCamera, axis_px: [f64; 2]) {
-    let place = camera.sensor.center_px() + Vector2::from(axis_px);
+    let of_tilt = camera.axis_px() - camera.mla.principal_point_px;
+    let place = camera.sensor.center_px() + Vector2::from(axis_px) - of_tilt;
     let mla = &mut camera.mla;
     mla.offset_mm += (place - mla.principal_point_px) * camera.sensor.pixel_size_mm;
     mla.principal_point_px = place;

@@ -45,7 +45,7 @@ pub struct Settings {
     pub target: Target,
     /// Boards at random poses.
     pub boards: Boards,
-    /// Board that moves along the optical axis.
+    /// Board that moves along z.
     pub translation: TranslationStage,
     /// Noise of the observations that are drawn from the truth.
     #[serde(default)]
@@ -91,7 +91,7 @@ pub struct Boards {
     pub motion_px: f64,
 }
 
-/// A linear stage that moves a board along the optical axis in known steps.
+/// A linear stage that moves a board along z in known steps.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TranslationStage {

@@ -250,7 +250,18 @@ fn images_do_not_depend_on_threads() {
 /// Corner 0 is at the top left of the board and of the image, and the square before it is black.
 #[test]
 fn the_image_is_upright() {
-    let settings = settings("mini");
+    is_upright([0.0, 0.0]);
+}
+
+/// The tilt of the lens does not move chief rays.
+#[test]
+fn the_image_of_a_tilted_lens_has_the_same_places() {
+    is_upright([0.02, -0.01]);
+}
+
+fn is_upright(lens_rotation_rad: [f64; 2]) {
+    let mut settings = settings("mini");
+    settings.camera.main_lens.rotation_rad = lens_rotation_rad;
     let tracer = ideal(&settings.camera, 4.0);
     let Target { columns, rows, square_mm, .. } = settings.target;
     let (z, sensor) = (80.0, &settings.camera.sensor);

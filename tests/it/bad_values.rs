@@ -243,6 +243,14 @@ fn the_array_of_a_camera_is_not_turned_by_degrees() {
     let document = plenocal::io::camera_document(&camera, None).to_string();
     let camera = file("camera.json", document);
     assert_refused(read_camera(&camera.path), &["camera.json", "rotation_rad", "degrees"]);
+    let mut tilted = true_camera();
+    tilted.main_lens.rotation_rad[1] = -1.6;
+    let document = plenocal::io::camera_document(&tilted, None).to_string();
+    let camera = file("camera.json", document);
+    assert_refused(
+        read_camera(&camera.path),
+        &["camera.json", "main lens", "(0, -1.6)", "degrees"],
+    );
 }
 
 #[test]

@@ -206,6 +206,8 @@ fn no_option_of_the_cost_is_given_beside_a_problem() {
         (&["--mode", "full"], "--mode"),
         (&["--pitches", "two"], "--pitches"),
         (&["--exit-pupil", "estimated"], "--exit-pupil"),
+        (&["--distortion", "constant"], "--distortion"),
+        (&["--lens-tilt", "none"], "--lens-tilt"),
         (&["--field-curvature", "constant"], "--field-curvature"),
         (&["--board", "bent"], "--board"),
         (&["--prior", "F=16:1"], "--prior"),

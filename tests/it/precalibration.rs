@@ -327,6 +327,17 @@ fn overlapping_micro_images_are_no_wrong_f_number() {
         assert!((apart - 4.0).abs() < 0.1 && (part - 0.15).abs() < 0.03, "{apart} {part}");
         assert_eq!((&found.internal, &found.array), (&expected.internal, &expected.array));
     }
+    // Two that overlap.
+    let stated = ["rays=8", "white_images.f_numbers=[2.8, 3.2, 4.5, 6.4, 9.0, 12.8]"];
+    let (two, _) = taken(&preset("mini", &stated));
+    let found = precalibrate(&two, None, &options(&settings), &|| ()).unwrap();
+    let expected = ["overlapping-white-image", "overlapping-white-image", "micro-images-overlap"];
+    assert_eq!(codes(&found.findings), expected);
+    // All overlap.
+    let stated = ["rays=8", "white_images.f_numbers=[2.8, 3.0, 3.2]"];
+    let (all, _) = taken(&preset("mini", &stated));
+    let found = precalibrate(&all, None, &options(&settings), &|| ()).unwrap();
+    assert!(codes(&found.findings).contains(&"micro-images-overlap"), "{:?}", found.findings);
     // Taken at f/4.5 and not at the stated f/3.2.
     let mut wrong = whites[1].clone();
     wrong.f_number = 3.2;

@@ -3,9 +3,11 @@
 
 use nalgebra::{Vector2, Vector3};
 use plenocal::Estimate;
-use plenocal::calibration::{CalibrationOptions, ExitPupil, Start, calibrate, initial_from};
+use plenocal::calibration::{
+    CalibrationOptions, ExitPupil, LensTilt, Start, calibrate, initial_from,
+};
 use plenocal::io::{camera_document, read_camera};
-use plenocal::model::{Noise, Observations, Parameter, PlenopticCamera, optics};
+use plenocal::model::{MainLens, Noise, Observations, Parameter, PlenopticCamera, optics};
 use plenocal::precalibration::{PrecalibrationOptions, White, precalibrate};
 use plenocal::simulation::{DataSet, simulate};
 use plenocal::solver::LossKind;
@@ -54,6 +56,30 @@ fn without_noise_exit_pupil_and_field_curvature_are_recovered() {
                 "{name}: {value} for {truth}"
             );
         }
+    }
+}
+
+#[test]
+fn a_tilted_lens_is_found_unless_it_is_ruled_out() {
+    let truth = PlenopticCamera {
+        main_lens: MainLens { rotation_rad: [0.007, -0.004], ..true_camera().main_lens },
+        ..true_camera()
+    };
+    let noise = Noise { uv_px: 0.1, rho_px: 0.02, centers_px: 0.05 };
+    let observations = drawn(&truth, &noise, 9);
+    let found = run(&start(&truth), &observations, &defaults());
+    let std_devs = found.uncertainty.intrinsic_std_devs(3);
+    for ((name, value, truth), std_dev) in pairs(&found.camera, &truth).iter().zip(std_devs) {
+        let off = (value - truth) / std_dev.unwrap_or(f64::INFINITY);
+        assert!(off.abs() < FOUR_SIGMA, "{name}: {value} for {truth}, {off:.1} σ");
+    }
+    // A camera to start from may have a tilt.
+    let none = CalibrationOptions { lens_tilt: LensTilt::None, ..defaults() };
+    for start in [start(&truth), Start::Camera(truth.clone())] {
+        let without = run(&start, &observations, &none);
+        assert_eq!(without.camera.main_lens.rotation_rad, [0.0; 2]);
+        let costs = [&without, &found].map(|calibration| calibration.refinement.cost);
+        assert!(costs[0] > 1.2 * costs[1], "{costs:?}");
     }
 }
 

@@ -165,7 +165,7 @@ std::optional<Vector3<T>> object_point(const MainLens<T>& lens, const Vector3<T>
 
 /// Returns the image p' at the virtual depth nu on the line from a pixel through the centre C of a
 /// micro-lens. nu is the distance from the micro-lens to p' over the distance from the micro-lens
-/// to the sensor, positive behind the array. Both distances are along the optical axis, also for a
+/// to the sensor, positive behind the array. Both distances are along z, also for a
 /// tilted array.
 template <typename T>
 Vector3<T> image_at(const ArrayOptics<T>& array, const Vector3<T>& center, const Pixel<T>& pixel,

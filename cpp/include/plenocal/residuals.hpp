@@ -295,7 +295,7 @@ class CenterResiduals {
   }
 
  private:
-  // Of the main lens, Jets contain only the rotation.
+  // Jets contain only the rotation of the main lens.
   class Cost : public ceres::CostFunction {
    public:
     explicit Cost(std::unique_ptr<CenterResiduals> residuals) : residuals_(std::move(residuals)) {

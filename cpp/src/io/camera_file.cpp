@@ -49,11 +49,11 @@ void require_known_fields(const Field& root) {
                      "principal_point_px", "micro_lens_array", "point_spread_px2", "point_spread",
                      "depth_from_blur", "uncertainty"});
   root["sensor"].require_keys({"width_px", "height_px", "pixel_size_mm"});
-  root["main_lens"].require_keys(
-      {"focal_length_mm", "q1_per_mm2", "q2_per_mm4", "q3_per_mm6", "q1_growth_per_mm2",
-       "p1_per_mm", "p2_per_mm", "field_curvature_per_mm", "field_curvature_growth_per_mm",
-       "rotation_rad", "exit_pupil_mm", "pupil_aberration_per_mm", "f_number",
-       "focus_distance_mm"});
+  root["main_lens"].require_keys({"focal_length_mm", "q1_per_mm2", "q2_per_mm4", "q3_per_mm6",
+                                  "q1_growth_per_mm2", "p1_per_mm", "p2_per_mm",
+                                  "field_curvature_per_mm", "field_curvature_growth_per_mm",
+                                  "rotation_rad", "exit_pupil_mm", "pupil_aberration_per_mm",
+                                  "f_number", "focus_distance_mm"});
   root["micro_lens_array"].require_keys({"lattice", "columns", "rows", "shifted", "lens_to_mla_mm",
                                          "mla_to_sensor_mm", "rotation_rad", "offset_mm",
                                          "pitch_mm", "pitch_ratio", "focal_lengths_mm",
@@ -91,6 +91,7 @@ Camera camera_from(const Field& root) {
   camera.width = sensor["width_px"].integer();
   camera.height = sensor["height_px"].integer();
   lens["exit_pupil_mm"].vector();
+  if (lens["rotation_rad"].size() != 2) lens["rotation_rad"].reject("two angles in rad");
   const Vector3<double> angles = array["rotation_rad"].vector();
   if (std::max({std::abs(angles.x), std::abs(angles.y), std::abs(angles.z)}) > kTurn) {
     array["rotation_rad"].reject("angles in rad, at most 2 pi each");
