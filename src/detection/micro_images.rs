@@ -53,6 +53,8 @@ pub struct MicroImages {
 
 /// Largest radius of discs of light and blur, in pitches.
 const MOST_PITCHES: f64 = 10.0;
+/// Excess of the radius of micro-images over half the pitch, relative, up to which they touch and do not overlap.
+const TOUCHING: f64 = 0.02;
 /// Difference of d/f from 1 below which a camera is unfocused; focused ones differ by a tenth and more.
 const UNFOCUSED: f64 = 0.03;
 /// Largest relative change of d from the middle of the image to a corner, if the array was meant to be parallel to the sensor.
@@ -284,7 +286,8 @@ impl MicroImages {
             (self.aperture_ratio * (q_prime * (1.0 + growth) - half_pitch_px)).abs()
         };
         let widest_px = self.q_prime_px.iter().map(blur_px).fold(0.0, f64::max);
-        let overlap_px = (self.pupil_px * (1.0 + growth) + widest_px - half_pitch_px).max(0.0);
+        let outer_px = self.pupil_px * (1.0 + growth) + widest_px;
+        let overlap_px = (outer_px - (1.0 + TOUCHING) * half_pitch_px).max(0.0);
         MicroOptics {
             lens_type,
             pupil_px: self.pupil_px * (1.0 + growth),

@@ -183,7 +183,8 @@ impl<'a> Samples<'a> {
         if fitted.parameters.m_mm <= 0.0 {
             return Err(Error::invalid(
                 "the radii of micro-images do not increase with decreasing f-number: check that \
-                 the f-numbers belong to these images, and that the lens was set to them",
+                 the f-numbers belong to these images, that the lens was set to them, and that \
+                 micro-images do not overlap",
             ));
         }
         Ok(fitted)

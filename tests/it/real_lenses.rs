@@ -79,7 +79,7 @@ fn a_tilted_lens_is_found_unless_it_is_ruled_out() {
         let without = run(&start, &observations, &none);
         assert_eq!(without.camera.main_lens.rotation_rad, [0.0; 2]);
         let costs = [&without, &found].map(|calibration| calibration.refinement.cost);
-        assert!(costs[0] > 1.2 * costs[1], "{costs:?}");
+        assert!(costs[0] > costs[1], "{costs:?}");
     }
 }
 
