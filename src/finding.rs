@@ -344,12 +344,12 @@ issues! {
         "check its f-number, that it is a white image of this camera, and that its contrast and black level are unchanged";
     /// A white image is left out, since its micro-images overlap.
     WhitesOverlap "overlapping-white-image" { f_number: f64, apart: f64 } =>
-        format!("micro-images overlap at f/{f_number:.2}, so that their size cannot be measured; the image is not used for m and q'. They lie apart from f/{apart:.1} on"),
+        format!("micro-images overlap at f/{f_number:.2}, so the image is not used to measure m and q'; they do not overlap from f/{apart:.1} upwards"),
         NONE;
     /// Micro-images of boards overlap.
     MicroImagesOverlap "micro-images-overlap" { f_number: f64, apart: f64, part: f64 } =>
         format!("the micro-images of the boards overlap at f/{f_number:.2} by {:.0} % of their radius: corners are measured only where a single micro-lens lights the sensor", 100.0 * part),
-        format!("close the aperture for boards, and add a white image: micro-images lie apart from f/{apart:.1} on");
+        format!("stop down: micro-images do not overlap from f/{apart:.1} upwards");
     /// The white image of the boards was taken at another aperture than stated.
     ApertureContradicted "aperture-contradicted" { f_number: f64, radius_px: f64, expected_px: f64, looks_like: f64 } =>
         format!("the micro-images of type 1 at f/{f_number:.2} should have a radius of {expected_px:.2} px, but have {radius_px:.2} px, the radius at about f/{looks_like:.2}"),

@@ -133,25 +133,16 @@ void MicroLensCenter(const Eigen::Vector2d& g, const T* mla, const T* pitch, T C
   C[2] = -sy * x + cy * sx * y - mla[kBigD];
 }
 
-// Rotations about O from the camera frame to that of the main lens, and back.
+// Rotation from the frame of the main lens, whose z axis is the optical axis, to the camera frame.
 template <typename T>
-void ToLens(const T* axis, T v[3]) {
+Eigen::Matrix<T, 3, 3> CameraFromLens(const T* axis) {
   using std::cos;
   using std::sin;
   const T cx = cos(axis[kOmegaX]), sx = sin(axis[kOmegaX]);
   const T cy = cos(axis[kOmegaY]), sy = sin(axis[kOmegaY]);
-  const T x = cy * v[0] - sy * v[2], z = sy * v[0] + cy * v[2];  // Ry'
-  const T y = v[1];
-  v[0] = x, v[1] = cx * y + sx * z, v[2] = cx * z - sx * y;  // Rx'
-}
-template <typename T>
-void FromLens(const T* axis, T v[3]) {
-  using std::cos;
-  using std::sin;
-  const T cx = cos(axis[kOmegaX]), sx = sin(axis[kOmegaX]);
-  const T cy = cos(axis[kOmegaY]), sy = sin(axis[kOmegaY]);
-  const T x = v[0], y = cx * v[1] - sx * v[2], z = sx * v[1] + cx * v[2];  // Rx
-  v[0] = cy * x + sy * z, v[1] = y, v[2] = cy * z - sy * x;                // Ry
+  Eigen::Matrix<T, 3, 3> R;
+  R << cy, sy * sx, sy * cx, T(0.0), cx, -sx, -sy, cy * sx, cy * cx;  // Ry Rx
+  return R;
 }
 
 // Micro-image centre: where the ray from the middle of the exit pupil through C meets the sensor.
@@ -164,12 +155,11 @@ struct CenterResidual {
                   T* residual) const {
     T C[3];
     MicroLensCenter(g, mla, pitch, C);
-    T c[3] = {C[0], C[1], C[2]};
-    ToLens(axis, c);
-    c[0] -= pupil[kEx], c[1] -= pupil[kEy];
-    const T ez = pupil[kEz] + pupil[kEr] * (c[0] * c[0] + c[1] * c[1]);  // the pupil is aberrated
-    T P[3] = {pupil[kEx], pupil[kEy], ez};
-    FromLens(axis, P);
+    const Eigen::Matrix<T, 3, 3> R = CameraFromLens(axis);
+    const Eigen::Matrix<T, 3, 1> c = R.transpose() * Eigen::Matrix<T, 3, 1>(C[0], C[1], C[2]);
+    const T x_e = c[0] - pupil[kEx], y_e = c[1] - pupil[kEy];
+    const T ez = pupil[kEz] + pupil[kEr] * (x_e * x_e + y_e * y_e);  // the pupil is aberrated
+    const Eigen::Matrix<T, 3, 1> P = R * Eigen::Matrix<T, 3, 1>(pupil[kEx], pupil[kEy], ez);
     const T scale = (mla[kBigD] + sensor[kLittleD] + P[2]) / (P[2] - C[2]);
     const T x = P[0] + scale * (C[0] - P[0]), y = P[1] + scale * (C[1] - P[1]);
     residual[0] = (sensor[kU0] - x / pixel_size - u) / std_dev;
@@ -194,10 +184,11 @@ struct FeatureResidual {
                   const T* f, const T* pose, T* residual) const {
     using std::sqrt;
     const T p_w[3] = {T(board_point.x()), T(board_point.y()), T(board_point.z())};
-    T p[3];
-    ceres::AngleAxisRotatePoint(pose, p_w, p);  // p_c = R p_w + t
-    for (int i = 0; i < 3; ++i) p[i] += pose[3 + i];
-    ToLens(axis, p);
+    T p_c[3];
+    ceres::AngleAxisRotatePoint(pose, p_w, p_c);  // p_c = R p_w + t
+    for (int i = 0; i < 3; ++i) p_c[i] += pose[3 + i];
+    const Eigen::Matrix<T, 3, 3> R = CameraFromLens(axis);
+    const Eigen::Matrix<T, 3, 1> p = R.transpose() * Eigen::Matrix<T, 3, 1>(p_c[0], p_c[1], p_c[2]);
 
     const T m = -lens[kF] / (p[2] - lens[kF]);  // thin lens: p' = -F/(z_c - F) p_c
     const T x = m * p[0], y = m * p[1];
@@ -207,10 +198,9 @@ struct FeatureResidual {
     // Brown-Conrady distortion of (x', y') in mm.
     const T *Q = lens + kQ1, *P = lens + kP1;
     const T radial = r2 * (Q[0] - lens[kQ1m] * m + r2 * (Q[1] + r2 * Q[2]));
-    T image[3] = {T(0.0), T(0.0), z};
-    image[0] = x + x * radial + P[0] * (r2 + 2.0 * x * x) + 2.0 * P[1] * x * y;
-    image[1] = y + y * radial + P[1] * (r2 + 2.0 * y * y) + 2.0 * P[0] * x * y;
-    FromLens(axis, image);
+    const T xd = x + x * radial + P[0] * (r2 + 2.0 * x * x) + 2.0 * P[1] * x * y;
+    const T yd = y + y * radial + P[1] * (r2 + 2.0 * y * y) + 2.0 * P[0] * x * y;
+    const Eigen::Matrix<T, 3, 1> image = R * Eigen::Matrix<T, 3, 1>(xd, yd, z);
 
     // Where the ray from C through p' meets the sensor plane z = -(D + d).
     T C[3];

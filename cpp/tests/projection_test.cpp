@@ -279,7 +279,7 @@ TEST(Projection, TiltedLensImagesAlongItsAxis) {
   const double slope = (other->z - image->z) / (other->x - image->x);
   const double x = 300.0 * cosine / sine;
   EXPECT_NEAR(image->z + slope * (-x - image->x), 300.0, 1e-9);
-  // With both angles, (0, 0, 1) of the lens frame is (sin y cos x, -sin x, cos y cos x).
+  // For both angles, the axis Ry Rx (0, 0, 1)' is (sin y cos x, -sin x, cos y cos x).
   lens.rotation[0] = 0.2;
   const Vector3<double> axis = LensFrame<double>(lens).to_camera({0.0, 0.0, 1.0});
   EXPECT_NEAR(axis.x, sine * std::cos(0.2), kRounding);

@@ -396,6 +396,20 @@ pub(super) mod tests {
         MicroImages::new(&grid, &[], &internal, &sheet).unwrap()
     }
 
+    #[test]
+    fn light_of_neighbours_is_left_out_where_micro_images_overlap() {
+        let touching = micro_images(16.0);
+        // Outer radii are 8 px, half the pitch.
+        assert!((touching.optics(1, 1).reach_px() - 8.0).abs() < 1e-9);
+        let wider = |pupil_px: f64| MicroImages { pupil_px, ..touching.clone() };
+        // Of 9.2 px, 2 % of half the pitch count as touching.
+        let overlapping = wider(3.2).optics(1, 1);
+        assert!((overlapping.outer_radius_px() - 9.2).abs() < 1e-9, "{overlapping:?}");
+        assert!((overlapping.reach_px() - (8.0 - (9.2 - 8.16))).abs() < 1e-9, "{overlapping:?}");
+        assert!((overlapping.lit_px(0.0) - overlapping.reach_px()).abs() < 1e-9);
+        assert!(wider(20.0).optics(1, 1).reach_px() <= 0.0);
+    }
+
     /// The array may be smaller than the sensor.
     #[test]
     fn in_view_is_what_the_micro_images_show() {

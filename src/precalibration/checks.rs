@@ -135,8 +135,8 @@ impl ReferenceRadius {
         Some(Self { radius_px: fit.outer, expected_px: geometry.radii(0) })
     }
 
-    /// Returns a finding if micro-images overlap, as measured and as expected: those of a wrong f-number have another size. Also
-    /// returns the f-number from which on they lie apart.
+    /// Returns a finding if both the measured and the expected radius exceed half the pitch, and the f-number from which on
+    /// micro-images do not overlap. If the stated f-number is wrong, only one of the radii does.
     pub fn overlapping(
         &self,
         f_number: f64,

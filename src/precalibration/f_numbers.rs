@@ -26,14 +26,15 @@ const BETTER: f64 = 2.0;
 /// Excess of the radius of micro-images over half the pitch, relative, above which they overlap.
 pub(super) const OVERLAP: f64 = 0.02;
 
-/// Returns the f-number from which on micro-images lie apart, to the tolerance of their overlap; `None` if they always overlap.
+/// Returns the f-number from which on micro-images do not overlap by more than [`OVERLAP`]; `None` if they overlap at every
+/// f-number.
 /// `slope_px` is the radius of the pupil times the f-number, `widest_px` the largest blur radius of the pupil.
 pub(super) fn apart(slope_px: f64, widest_px: f64, half_pitch_px: f64) -> Option<f64> {
     let room = (1.0 + OVERLAP) * half_pitch_px - widest_px;
     (room > 0.0).then(|| slope_px / room)
 }
 
-/// A white image that is not like the others: micro-images overlap, or its f-number is wrong.
+/// A white image in doubt: its micro-images overlap, or its f-number contradicts the others.
 pub(super) struct Doubt {
     /// Index of the white image.
     pub white: usize,
@@ -165,13 +166,13 @@ impl Sizes<'_> {
         f_numbers.sort_by(f64::total_cmp);
         f_numbers.dedup();
         let white = (0..stated.len()).min_by(|a, b| stated[*a].total_cmp(&stated[*b]))?;
-        // Those at the next f-numbers may overlap too.
+        // Micro-images may overlap at the next f-numbers too.
         let without = 1..=f_numbers.len().saturating_sub(FEWEST_WITHOUT_OVERLAP);
         let lines = without
             .filter_map(|count| self.lines(stated, |i| stated[i] >= f_numbers[count]))
             .find(|lines| lines.off < STRAIGHT)?;
         let (f_number, widest) = (stated[white], lines.q.iter().copied().fold(0.0, f64::max));
-        // Micro-images of a wrong f-number have another size, and need not overlap.
+        // If the f-number is wrong, the measured radius does not exceed half the pitch.
         let seen = self.of(white).iter().map(|m| m.radius_px).fold(0.0, f64::max);
         let is_wide = (lines.m / f_number + widest).min(seen) > (1.0 + OVERLAP) * half_pitch_px;
         let apart = apart(lines.m, widest, half_pitch_px)?;

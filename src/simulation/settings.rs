@@ -131,9 +131,9 @@ impl Settings {
         let lens = &self.camera.main_lens;
         if lens.field_curvature_growth_per_mm != 0.0 || lens.q1_growth_per_mm2 != 0.0 {
             return Err(Error::invalid(
-                "field curvature and distortion of a thin lens do not change with the distance, and a \
-                 prescription determines those of a real lens: give field_curvature_growth_per_mm = 0 \
-                 and q1_growth_per_mm2 = 0",
+                "a thin lens has the same field curvature and distortion at all distances, and a real lens \
+                 has the ones of its prescription: give field_curvature_growth_per_mm = 0 and \
+                 q1_growth_per_mm2 = 0",
             ));
         }
         if lens.pupil_aberration_per_mm != 0.0 {

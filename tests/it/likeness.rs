@@ -72,7 +72,10 @@ fn found_with(micro_images: &MicroImages, image: &RawImage, white: &RawImage) ->
 
 /// The board with other samples, from those of its pixel and of the one before.
 fn changed(change: impl Fn(f64, f64) -> f64) -> RawImage {
-    let image = &SHOOT.board;
+    changed_from(&SHOOT.board, change)
+}
+
+fn changed_from(image: &RawImage, change: impl Fn(f64, f64) -> f64) -> RawImage {
     let Samples::Bits8(samples) = &image.samples else { panic!("mini has 8 bits") };
     let before = std::iter::once(&samples[0]).chain(samples);
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // clamped
@@ -119,9 +122,24 @@ fn a_gamma_is_named() {
 
 #[test]
 fn a_shift_is_named_with_its_size() {
-    let issue = only_issue(&changed(|x, before| 0.7 * x + 0.3 * before));
-    let Issue::OtherOrigin { shift_px } = issue else { panic!("{issue}") };
-    assert!((shift_px[0] - 0.30).abs() < 0.02, "{shift_px:?}");
+    // One board alone has few micro-images that a single square fills, and some have too few to say anything.
+    let Shoot { settings, micro_images, white, .. } = &*SHOOT;
+    let plan = DataSet::plan(settings, None).unwrap();
+    let mut shifts: Vec<f64> = plan.subsets[0]
+        .iter()
+        .filter_map(|(_, shot)| {
+            let board = shot.take(settings, &|| ()).unwrap();
+            let image = changed_from(&board, |x, before| 0.7 * x + 0.3 * before);
+            let found = found_with(micro_images, &image, white).findings;
+            found.iter().find_map(|finding| match finding.issue {
+                Issue::OtherOrigin { shift_px } => Some(shift_px[0]),
+                _ => None,
+            })
+        })
+        .collect();
+    shifts.sort_by(f64::total_cmp);
+    let median = shifts[shifts.len() / 2];
+    assert!(shifts.len() > 5 && (median - 0.30).abs() < 0.01, "{shifts:?}");
 }
 
 /// 4.3/4 = 1.075.

@@ -304,8 +304,8 @@ fn a_white_image_at_another_f_number_than_stated_is_left_out() {
     assert_eq!(found.images, ["white 1", "white 2", "white 4", "white 5"]);
 }
 
-/// At f/3.2 the micro-images of `mini` overlap by 15 %. The image is told from one at a wrong f-number, and takes no part: neither
-/// in lines and discs nor, as reference, in array and angular response.
+/// Micro-images of `mini` overlap by 15 % at f/3.2. Such a white image is distinguished from one with a wrong f-number. It is used
+/// neither for m and q' nor as the reference for the array and the angular response.
 #[test]
 fn overlapping_micro_images_are_no_wrong_f_number() {
     let settings = preset("mini", &["rays=8", "white_images.f_numbers=[3.2, 4.5, 6.4, 9.0, 12.8]"]);
