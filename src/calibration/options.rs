@@ -326,8 +326,8 @@ pub struct CalibrationOptions {
     #[arg(long)]
     pub board: BoardModel,
     /// Parameters that keep their initial value, e.g. F,Q3. The parameters are F, Q1 to Q3, Q1_m, P1, P2, kappa, kappa_m,
-    /// omega_x, omega_y, e_z, e_r, u0, v0, d, theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y, twist, aspect.
-    /// (e_x and e_y are 0 unless they have a prior, and dC_ratio is fixed unless --pitches two.)
+    /// omega_x, omega_y, e_z, e_r, u0, v0, d, theta_x to theta_z, t_x, t_y, D, dC, f_1 to f_3, and of the board sag_x, sag_y,
+    /// twist, aspect. (e_x and e_y are 0 unless they have a prior, and dC_ratio is fixed unless --pitches two.)
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub fix: Vec<Parameter>,
     /// Prior knowledge: `[calibration.priors]`, --priors and --prior.

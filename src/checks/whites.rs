@@ -6,6 +6,8 @@ use crate::quantity::Estimate;
 /// Smallest relative difference of a radius from the radius of its f-number that shows another f-number. Half a stop at f/4
 /// changes a radius by 10 %.
 const APERTURE: f64 = 0.05;
+/// Excess of the radius of micro-images over half the pitch, relative, up to which they touch and do not overlap.
+pub(crate) const TOUCHING: f64 = 0.02;
 /// Smallest part of the micro-images that agrees with its lens type if nothing is wrong.
 const AGREEMENT: f64 = 0.9;
 /// Part of saturated pixels above which an image is over-exposed.

@@ -3,6 +3,7 @@
 use nalgebra::Vector2;
 
 use super::MicroOptics;
+use crate::checks::whites::TOUCHING;
 use crate::error::{Error, Result};
 use crate::model::{
     Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, MicroImageCenter,
@@ -53,8 +54,6 @@ pub struct MicroImages {
 
 /// Largest radius of discs of light and blur, in pitches.
 const MOST_PITCHES: f64 = 10.0;
-/// Excess of the radius of micro-images over half the pitch, relative, up to which they touch and do not overlap.
-const TOUCHING: f64 = 0.02;
 /// Difference of d/f from 1 below which a camera is unfocused; focused ones differ by a tenth and more.
 const UNFOCUSED: f64 = 0.03;
 /// Largest relative change of d from the middle of the image to a corner, if the array was meant to be parallel to the sensor.

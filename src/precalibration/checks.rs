@@ -1,7 +1,7 @@
 //! Checks whether white images belong together and to the stated camera, and findings for the user.
 
 use super::disc_geometry::DiscGeometry;
-use super::f_numbers::{OVERLAP, apart};
+use super::f_numbers::apart;
 use super::grid::MicroImageArray;
 use super::options::White;
 use super::pattern::Pattern;
@@ -148,7 +148,7 @@ impl ReferenceRadius {
         let least = part.min((self.radius_px + widest - blur) / half_pitch_px - 1.0);
         let apart = apart(f_number * pupil, widest, half_pitch_px)?;
         let issue = Issue::MicroImagesOverlap { f_number, apart, part };
-        (least > OVERLAP).then_some((issue, apart))
+        (least > checks::TOUCHING).then_some((issue, apart))
     }
 
     /// Returns a finding if micro-images do not have the size of the f-number.

@@ -2,6 +2,7 @@
 
 use super::internal::{RadiusMeasurement, fit_internal};
 use super::options::White;
+use crate::checks::whites::TOUCHING;
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
 use crate::model::Configuration;
@@ -23,14 +24,11 @@ const STRAIGHT: f64 = 0.01;
 /// Ratio of these deviations above which one explanation is better than another.
 const BETTER: f64 = 2.0;
 
-/// Excess of the radius of micro-images over half the pitch, relative, above which they overlap.
-pub(super) const OVERLAP: f64 = 0.02;
-
-/// Returns the f-number from which on micro-images do not overlap by more than [`OVERLAP`]; `None` if they overlap at every
+/// Returns the f-number from which on micro-images do not overlap by more than [`TOUCHING`]; `None` if they overlap at every
 /// f-number.
 /// `slope_px` is the radius of the pupil times the f-number, `widest_px` the largest blur radius of the pupil.
 pub(super) fn apart(slope_px: f64, widest_px: f64, half_pitch_px: f64) -> Option<f64> {
-    let room = (1.0 + OVERLAP) * half_pitch_px - widest_px;
+    let room = (1.0 + TOUCHING) * half_pitch_px - widest_px;
     (room > 0.0).then(|| slope_px / room)
 }
 
@@ -174,7 +172,7 @@ impl Sizes<'_> {
         let (f_number, widest) = (stated[white], lines.q.iter().copied().fold(0.0, f64::max));
         // If the f-number is wrong, the measured radius does not exceed half the pitch.
         let seen = self.of(white).iter().map(|m| m.radius_px).fold(0.0, f64::max);
-        let is_wide = (lines.m / f_number + widest).min(seen) > (1.0 + OVERLAP) * half_pitch_px;
+        let is_wide = (lines.m / f_number + widest).min(seen) > (1.0 + TOUCHING) * half_pitch_px;
         let apart = apart(lines.m, widest, half_pitch_px)?;
         let finding = Finding::note(Issue::WhitesOverlap { f_number, apart })
             .about_image(&self.whites[white].name);
