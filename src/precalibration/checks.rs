@@ -136,7 +136,7 @@ impl ReferenceRadius {
     }
 
     /// Returns a finding if both the measured and the expected radius exceed half the pitch, and the f-number from which on
-    /// micro-images do not overlap. If the stated f-number is wrong, only one of the radii does.
+    /// micro-images do not overlap. If the stated f-number is too small, only the expected radius does.
     pub fn overlapping(
         &self,
         f_number: f64,

@@ -25,8 +25,7 @@ const STRAIGHT: f64 = 0.01;
 const BETTER: f64 = 2.0;
 
 /// Returns the f-number from which on micro-images do not overlap by more than [`TOUCHING`]; `None` if they overlap at every
-/// f-number.
-/// `slope_px` is the radius of the pupil times the f-number, `widest_px` the largest blur radius of the pupil.
+/// f-number. `slope_px` is the radius of the pupil times the f-number, `widest_px` the largest blur radius of the pupil.
 pub(super) fn apart(slope_px: f64, widest_px: f64, half_pitch_px: f64) -> Option<f64> {
     let room = (1.0 + TOUCHING) * half_pitch_px - widest_px;
     (room > 0.0).then(|| slope_px / room)
@@ -170,7 +169,7 @@ impl Sizes<'_> {
             .filter_map(|count| self.lines(stated, |i| stated[i] >= f_numbers[count]))
             .find(|lines| lines.off < STRAIGHT)?;
         let (f_number, widest) = (stated[white], lines.q.iter().copied().fold(0.0, f64::max));
-        // If the f-number is wrong, the measured radius does not exceed half the pitch.
+        // If the stated f-number is too small, only the predicted radius exceeds half the pitch.
         let seen = self.of(white).iter().map(|m| m.radius_px).fold(0.0, f64::max);
         let is_wide = (lines.m / f_number + widest).min(seen) > (1.0 + TOUCHING) * half_pitch_px;
         let apart = apart(lines.m, widest, half_pitch_px)?;
