@@ -21,6 +21,7 @@ const SEED: u64 = 9701;
 const SETS: usize = 3;
 /// Parameters that a traced lens has too, apart from the columns of the table.
 const OTHERS: [&str; 9] = ["D", "P1", "P2", "e_z", "theta_x", "theta_y", "theta_z", "t_x", "t_y"];
+const ROTATION: [&str; 2] = ["omega_x", "omega_y"];
 const SHOWN: [&str; 7] = ["F", "d", "f_1", "f_2", "f_3", "u0", "v0"];
 
 /// Calibrates three sets for each lens and place of the axis.
@@ -61,7 +62,7 @@ pub fn errors(extent: &Extent) -> Result<Vec<String>> {
         table.row(first.into_iter().chain(cells(&cameras, traced.as_ref())));
         over_sigmas.extend(cameras.iter().flat_map(|camera| {
             let of = |name: &&str| camera.of_name(name).standardised().map(f64::abs);
-            SHOWN.iter().chain(&OTHERS).filter_map(of).collect::<Vec<_>>()
+            SHOWN.iter().chain(&OTHERS).chain(&ROTATION).filter_map(of).collect::<Vec<_>>()
         }));
     }
     let within = |limit: f64| over_sigmas.iter().filter(|x| **x <= limit).count();
@@ -202,8 +203,8 @@ fn cells(cameras: &[Found], traced: Option<&LensFigures>) -> [String; 9] {
         format!("{} ({})", fixed(root_mean_square(&each), 1), largest(&errors))
     };
     let size = |error: &ParameterError| error.standardised().unwrap_or(0.0).abs();
-    let others = of(&OTHERS);
-    let other = others.into_iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+    let others = OTHERS.iter().chain(&ROTATION).flat_map(|name| of(&[name]));
+    let other = others.max_by(|a, b| size(a).total_cmp(&size(b)));
     let mean = |name: &str, factor: f64, decimals: usize, traced: Option<f64>| {
         let errors = of(&[name]);
         let values: Vec<f64> = errors.iter().map(|error| error.estimate).collect();
