@@ -72,6 +72,7 @@ pub fn initial_camera(
         },
         edge_spread: EdgeSpread {
             aperture_ratio: internal.aperture_ratio,
+            opening: internal.opening,
             point_spread_px2: internal.point_spread_px2,
         },
     })

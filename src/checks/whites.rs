@@ -1,6 +1,7 @@
 //! Checks of white images and of the array in them.
 
 use crate::finding::{Finding, Issue};
+use crate::model::{LatticeKind, Opening};
 use crate::quantity::Estimate;
 
 /// Smallest relative difference of a radius from the radius of its f-number that shows another f-number. Half a stop at f/4
@@ -22,6 +23,10 @@ const UNEVEN: f64 = 0.03;
 /// Largest relative decrease of the width of micro-images at the corners of the image. Real lenses at their full aperture have
 /// 0 to 0.01 without a second stop.
 const NARROW: f64 = 0.02;
+/// Largest difference of the cell share from that of the shape; half of it changes the width of a hexagon by 1.4 %.
+const SHARE: f64 = 0.25;
+/// Smallest difference of the cell share that counts, in σ.
+const SHARE_STD_DEVS: f64 = 3.0;
 /// Smallest decrease that counts, in σ.
 const SURE: f64 = 5.0;
 /// Relative errors of m and q' from straight lines through the radii, if f-numbers are 2 % off at random (docs/accuracy.md).
@@ -114,6 +119,30 @@ pub(crate) fn lens_types(agreement: Option<f64>) -> Option<Finding> {
 /// Returns true if the main lens vignettes by a part that counts, from `vignetting` of the internal parameters.
 pub(crate) fn vignettes(vignetting: Option<Estimate>) -> bool {
     vignetting.is_some_and(|Estimate { value, std_dev }| value > NARROW && value > SURE * std_dev)
+}
+
+/// Returns the shape of the openings: as stated, or else the nearer one to the measured cell share; discs if this is not known.
+/// Returns a finding if the share contradicts the statement, or belongs to neither shape.
+pub(crate) fn opening(
+    stated: Option<Opening>,
+    kind: LatticeKind,
+    cell_share: Option<Estimate>,
+) -> (Opening, Option<Finding>) {
+    let cell = Opening::cell(kind);
+    let Some(share) = cell_share else { return (stated.unwrap_or_default(), None) };
+    let measured = if share.value > 0.5 { cell } else { Opening::Disc };
+    let taken = stated.unwrap_or(measured);
+    let expected = if taken == Opening::Disc { 0.0 } else { 1.0 };
+    let off = (share.value - expected).abs();
+    let is_clear = |distance: f64| distance > SHARE_STD_DEVS * share.std_dev;
+    let issue = if taken != measured && is_clear((share.value - 0.5).abs()) {
+        Issue::OpeningContradicted { stated: taken, cell, share }
+    } else if off > SHARE && is_clear(off) {
+        Issue::OpeningBetween { taken, cell, share }
+    } else {
+        return (taken, None);
+    };
+    (taken, Some(Finding::caution(issue)))
 }
 
 /// Checks whether the main lens vignettes.

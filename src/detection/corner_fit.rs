@@ -104,6 +104,7 @@ impl Held<'_> {
         let Self { optics, slope, .. } = *self;
         let (rho, q) = (optics.blur_radius_px(slope), optics.q_px());
         Bundle::new(rho, q, optics.pupil_px, self.point_spread_px2)
+            .through(optics.opening, optics.normal_rad)
             .oblique(&optics.obliquity)
             .aberrated(&self.aberration.bend(&self.center, slope))
             .wider(self.wider_px2)

@@ -6,7 +6,7 @@ use super::MicroOptics;
 use crate::checks::whites::TOUCHING;
 use crate::error::{Error, Result};
 use crate::model::{
-    Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, MicroImageCenter,
+    Configuration, Datasheet, FallOff, InternalParameters, LatticeKind, MicroImageCenter, Opening,
     ROW_DISTANCE, SampleLevels, Sensor, TiltGradient, check_array_size, check_centers,
     growth_per_px, optics,
 };
@@ -30,6 +30,7 @@ pub struct MicroImages {
     q_prime_px: Vec<f64>,
     /// Aperture ratio φ.
     aperture_ratio: f64,
+    opening: Opening,
     /// Standard deviation of φ, if other boards have determined it.
     settled: Option<f64>,
     /// Aberrations of the main lens, if other boards have determined them.
@@ -135,6 +136,7 @@ impl MicroImages {
             pupil_px,
             q_prime_px: internal.q_prime_mm.iter().map(|q| q / pixel_size_mm).collect(),
             aperture_ratio,
+            opening: internal.opening,
             settled: None,
             aberration: None,
             point_spread_px2: internal.point_spread_px2(),
@@ -294,6 +296,11 @@ impl MicroImages {
             half_pitch_px,
             alone_px: (half_pitch_px - overlap_px).max(0.0),
             aperture_ratio: self.aperture_ratio,
+            opening: self.opening,
+            normal_rad: Opening::normal_rad(
+                self.grid.lattice.packing.kind(),
+                self.grid.rotation_rad,
+            ),
             obliquity: Obliquity {
                 gradient_per_px: self.fall_off.gradient(place),
                 ..self.in_the_middle
@@ -368,6 +375,7 @@ pub(super) mod tests {
             array_size: Some((3, 3)),
             lens_types: 1,
             micro_image_pitch_px: None,
+            opening: None,
         };
         let internal = InternalParameters {
             m_mm: 0.5 * pitch_px * 0.0055,
@@ -381,6 +389,7 @@ pub(super) mod tests {
             vignetting: None,
             point_spread_px2: None,
             aperture_ratio: None,
+            opening: Opening::Disc,
             levels: None,
         };
         let grid = MicroImageArray {

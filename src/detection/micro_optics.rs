@@ -1,5 +1,6 @@
 //! Optics of a micro-lens.
 
+use crate::model::Opening;
 use crate::optics::Obliquity;
 
 /// Optics of one micro-lens, with its micro-image.
@@ -18,6 +19,10 @@ pub struct MicroOptics {
     pub alone_px: f64,
     /// Aperture ratio φ.
     pub aperture_ratio: f64,
+    /// Shape of the opening.
+    pub opening: Opening,
+    /// Direction of the normal of one of its sides, rad.
+    pub normal_rad: f64,
     /// Angular response.
     pub obliquity: Obliquity,
     /// Relative difference of d from its value in the middle of the image.

@@ -31,7 +31,7 @@ use super::poses_file::possible;
 use crate::error::{Error, Result};
 use crate::model::{
     Board, Configuration, Datasheet, EdgeSpread, FramePose, InternalParameters, Lattice,
-    LatticeKind, LensSetting, MainLens, MicroLensArray, Packing, Parity, PlenopticCamera,
+    LatticeKind, LensSetting, MainLens, MicroLensArray, Opening, Packing, Parity, PlenopticCamera,
     ROW_DISTANCE, Sensor, optics,
 };
 use crate::precalibration::MicroImageArray;
@@ -65,6 +65,7 @@ pub(super) fn datasheet_from(value: Value) -> Result<Datasheet> {
             Some(pitch) => Some(pitch.fixed::<2>("the pitch of the mesh of the mia")?[0]),
             None => None,
         },
+        opening: None,
     })
 }
 
@@ -105,6 +106,7 @@ pub(super) fn internal_parameters_from(
         vignetting: None,
         point_spread_px2: None,
         aperture_ratio: None,
+        opening: Opening::Disc,
         levels: None,
     })
 }

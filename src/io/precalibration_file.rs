@@ -109,6 +109,7 @@ pub fn precalibration_document(result: &Precalibration) -> Value {
         fields.insert(RMS.to_owned(), internal.rms_px.into());
     }
     fields.insert("internal_parameters".to_owned(), parameters);
+    fields.insert("cell_share".to_owned(), json!(result.cell_share));
     fields.insert("radii".to_owned(), json!(radii));
     fields.insert("pitch_correction".to_owned(), json!(result.pitch_correction));
     Value::Object(fields)

@@ -13,7 +13,7 @@ use crate::calibration::CalibrationOptions;
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::{
-    Board, Configuration, Datasheet, InternalParameters, LatticeKind, Sensor, optics,
+    Board, Configuration, Datasheet, InternalParameters, LatticeKind, Opening, Sensor, optics,
 };
 use crate::quantity::counted;
 use crate::table::{finite, replace};
@@ -101,6 +101,8 @@ pub struct ArraySection {
     pub lens_types: usize,
     /// Distance between neighbouring micro-image centres, px; measured if not stated.
     pub micro_image_pitch_px: Option<f64>,
+    /// Shape of the openings of the micro-lenses; measured if not stated.
+    pub opening: Option<Opening>,
 }
 
 impl ArraySection {
@@ -308,6 +310,7 @@ impl Project {
                 array_size: array.size()?,
                 lens_types: array.lens_types,
                 micro_image_pitch_px: array.micro_image_pitch_px,
+                opening: array.opening,
             })),
             _ => Err(Error::invalid(
                 "a camera needs the tables [sensor], [main_lens] and [micro_lens_array]",

@@ -6,6 +6,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::camera::{LensSetting, MainLens, MicroLensArray, PlenopticCamera};
 use super::edge_spread::EdgeSpread;
 use super::lattice::{Lattice, LatticeKind, Packing, Parity};
+use super::opening::Opening;
 use super::sensor::Sensor;
 use crate::quantity::Estimate;
 
@@ -81,6 +82,8 @@ struct ArrayFile {
     focal_lengths_mm: Vec<f64>,
     #[serde(alias = "fill_factor", skip_serializing_if = "Option::is_none")]
     aperture_ratio: Option<Estimate>,
+    #[serde(default, skip_serializing_if = "Opening::is_disc")]
+    opening: Opening,
 }
 
 impl From<PlenopticCamera> for CameraFields {
@@ -122,6 +125,7 @@ impl From<PlenopticCamera> for CameraFields {
                 pitch_ratio: mla.pitch_ratio,
                 focal_lengths_mm: camera.mla.focal_lengths_mm,
                 aperture_ratio: camera.edge_spread.aperture_ratio,
+                opening: camera.edge_spread.opening,
             },
             point_spread_px2: camera.edge_spread.point_spread_px2,
         }
@@ -168,6 +172,7 @@ impl TryFrom<CameraFields> for PlenopticCamera {
             },
             edge_spread: EdgeSpread {
                 aperture_ratio: array.aperture_ratio,
+                opening: array.opening,
                 point_spread_px2: fields.point_spread_px2,
             },
         })

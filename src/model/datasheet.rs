@@ -8,6 +8,7 @@ use super::fall_off::FallOff;
 use super::lattice::{Configuration, LatticeKind, check_array_size, check_lens_types};
 use super::levels::SampleLevels;
 use super::observations::MicroImageCenter;
+use super::opening::Opening;
 use super::sensor::Sensor;
 use super::tilt_gradient::TiltGradient;
 use crate::error::{Error, Result};
@@ -37,6 +38,8 @@ pub struct Datasheet {
     pub lens_types: usize,
     /// Distance between neighbouring micro-image centres, px, if stated.
     pub micro_image_pitch_px: Option<f64>,
+    /// Shape of the openings of the micro-lenses, if stated.
+    pub opening: Option<Opening>,
 }
 
 /// Internal parameters Ω = {m, q'₁ … q'_I} (paper, section 3.2), measured on white images.
@@ -72,6 +75,9 @@ pub struct InternalParameters {
     /// Aperture ratio to which q'ᵢ belong, if known; otherwise 1. White images show its product with qᵢ = q'ᵢ − Δc/2.
     #[serde(alias = "fill_factor")]
     pub aperture_ratio: Option<Estimate>,
+    /// Shape of the openings of the micro-lenses.
+    #[serde(default)]
+    pub opening: Opening,
     /// Black and saturation level of the images, if known; otherwise samples are linear from 0 to full scale.
     pub levels: Option<SampleLevels>,
 }
@@ -99,6 +105,9 @@ impl Datasheet {
         positive(self.focal_length_mm, "the focal length of the main lens (focal_length_mm)")?;
         positive(self.f_number, "the f-number of the main lens (f_number)")?;
         check_lens_types(self.lens_types, self.lattice_kind)?;
+        if let Some(opening) = self.opening {
+            opening.check(self.lattice_kind)?;
+        }
         let half_diagonal_mm = self.sensor.half_diagonal_mm();
         if half_diagonal_mm > WIDEST * self.focal_length_mm {
             return Err(Error::invalid(format!(
@@ -197,8 +206,8 @@ impl InternalParameters {
         if let Some(tilt_gradient) = &self.tilt_gradient {
             tilt_gradient.validate()?;
         }
-        EdgeSpread { aperture_ratio: self.aperture_ratio, point_spread_px2: self.point_spread_px2 }
-            .validate()?;
+        let (aperture_ratio, point_spread_px2) = (self.aperture_ratio, self.point_spread_px2);
+        EdgeSpread { aperture_ratio, opening: self.opening, point_spread_px2 }.validate()?;
         if let Some(levels) = &self.levels {
             levels.validate()?;
         }

@@ -1,15 +1,18 @@
 //! Aperture ratio and point spread, which change blur and edges with respect to ideal micro-lenses and pixels. The projection
 //! of points does not depend on either; depth from blur does.
 
+use super::opening::Opening;
 use crate::error::{Error, Result};
 use crate::quantity::Estimate;
 
 /// Blur of a camera in addition to its geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct EdgeSpread {
-    /// Aperture ratio φ: lenslet diameter over pitch. The rest of the pitch is opaque, so that blur and micro-images are
-    /// smaller. Hexagonal apertures without gaps have the area of circles with φ = 1.05. `None` if it is not known.
+    /// Aperture ratio φ: width of a lenslet over pitch. The rest of the pitch is opaque, so that blur and micro-images are
+    /// smaller. `None` if it is not known.
     pub aperture_ratio: Option<Estimate>,
+    /// Shape of the aperture of a lenslet.
+    pub opening: Opening,
     /// Point spread s²: the variance, along an axis, px², of the blur of a point by diffraction, aberrations, and light and
     /// charge that leave their pixel; modelled as normal, isotropic and uniform. `None` if it is not known.
     pub point_spread_px2: Option<Estimate>,
@@ -23,11 +26,11 @@ const APERTURE_RATIOS: std::ops::RangeInclusive<f64> = 0.01..=1.3;
 const MOST_PX2: f64 = 100.0;
 
 impl EdgeSpread {
-    /// Returns the standard deviation of blurred light along an axis over the blur radius ρ of full apertures, φ/2: the
-    /// standard deviation of a uniform disc is half its radius.
+    /// Returns the standard deviation of blurred light along an axis over the blur radius ρ of full apertures: φ/2 for discs,
+    /// whose standard deviation is half the radius.
     #[must_use]
     pub fn spread_per_radius(&self) -> Option<Estimate> {
-        self.aperture_ratio.map(|ratio| ratio.scaled(0.5))
+        self.aperture_ratio.map(|ratio| ratio.scaled(self.opening.std_dev()))
     }
 
     /// Checks both values; an error names an impossible one.

@@ -14,6 +14,7 @@ mod lattice;
 mod levels;
 mod noise;
 mod observations;
+mod opening;
 pub mod optics;
 mod parameters;
 mod reprojection;
@@ -41,6 +42,7 @@ pub use observations::{
     BapFeature, MIN_CORNERS, MeasuredBlur, MicroImageCenter, Observations, TAKEN, TAKEN_QUANTITIES,
     taken,
 };
+pub use opening::Opening;
 pub use parameters::{MAX_LENS_TYPES, Parameter, SHAPE};
 pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};
 pub(crate) use sensor::MOST_PIXELS;

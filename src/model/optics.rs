@@ -97,6 +97,7 @@ pub fn internal_parameters(camera: &PlenopticCamera) -> InternalParameters {
         vignetting: None,
         point_spread_px2: camera.edge_spread.point_spread_px2,
         aperture_ratio: camera.edge_spread.aperture_ratio,
+        opening: camera.edge_spread.opening,
         levels: None,
     }
 }

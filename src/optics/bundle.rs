@@ -21,6 +21,7 @@ use super::aberration::Bend;
 use super::quadrature::Quadrature;
 use super::response::{Obliquity, RayLight, Response};
 use super::rim::{Cut, LEAST_PX2, Rim, Step};
+use crate::model::Opening;
 use crate::numerics::simd::Lanes;
 
 /// Optics of a micro-image, which all of its rays share.
@@ -40,6 +41,9 @@ pub(crate) struct Bundle {
     half_pitch: f32,
     response: Response,
     bend: Bend<f32>,
+    opening: Opening,
+    /// Direction of the normal of a side of the opening: cosine and sine.
+    normal: [f32; 2],
     quadrature: &'static Quadrature,
 }
 
@@ -149,13 +153,24 @@ impl Bundle {
             half_pitch: 0.0,
             response: Response::new(&Obliquity::default()),
             bend: Bend::none().in_single(),
-            quadrature: Quadrature::of_blur(rho_px),
+            opening: Opening::Disc,
+            normal: [1.0, 0.0],
+            quadrature: Quadrature::of_blur(Opening::Disc, rho_px),
         }
+    }
+
+    /// Sets the opening of the micro-lens, with the direction of the normal of one of its sides, rad. Blur radii are half its
+    /// width.
+    #[allow(clippy::cast_possible_truncation)] // single precision, as the light
+    pub fn through(self, opening: Opening, normal_rad: f64) -> Self {
+        let normal = [normal_rad.cos() as f32, normal_rad.sin() as f32];
+        let quadrature = Quadrature::of_blur(opening, self.rho.into());
+        Self { opening, normal, quadrature, ..self }
     }
 
     /// Takes the fewest nodes, for positions to a few hundredths of a pixel.
     pub fn coarse(self) -> Self {
-        Self { quadrature: Quadrature::coarsest(), ..self }
+        Self { quadrature: Quadrature::coarsest(self.opening), ..self }
     }
 
     /// Sets the angular response.
@@ -509,17 +524,18 @@ fn of_corner<S: Simd, const WHICH: bool, E: Steps>(
     [x, y]: [Lanes<S>; 2],
     edges: &E,
 ) -> [Lanes<S>; COLUMNS] {
-    let Bundle { q, pixel, half_pitch, .. } = *bundle;
+    let Bundle { q, pixel, half_pitch, normal: [cos, sin], .. } = *bundle;
     let in_cell = bundle.quadrature.variance * half_pitch;
     let zero = Lanes::splat(simd, 0.0);
     let mut sums =
         NodeSums { white: zero, white_by: [zero; OF_LIGHT.len()], columns: [zero; COLUMNS] };
     for node in &bundle.quadrature.nodes {
-        let ray = bundle.response.light(simd, [x + node.x * half_pitch, y + node.y * half_pitch]);
+        let [node_x, node_y] = [node.x * cos - node.y * sin, node.x * sin + node.y * cos];
+        let ray = bundle.response.light(simd, [x + node_x * half_pitch, y + node_y * half_pitch]);
         // The brighter side of the pixel and of the node has more weight.
         let [by_x, by_y] = ray.gradient;
         let p = [by_x.mul_add_scalar(pixel, x), by_y.mul_add_scalar(pixel, y)];
-        let w = [by_x * in_cell + node.x, by_y * in_cell + node.y];
+        let w = [by_x * in_cell + node_x, by_y * in_cell + node_y];
         let y = [p[0] - w[0] * q, p[1] - w[1] * q];
         let square = y[0].mul_add(y[0], y[1] * y[1]);
         if square.smallest() > moments.none {

@@ -4,11 +4,13 @@
 //! The rays that reach a point p of the sensor pass the part of the opening that the pupil covers: the overlap of discs with
 //! the radii |q| and a, the distance |p| apart. The light is the area of this overlap times the mean angular response of its
 //! rays. The moments of the overlap give this mean to the second order of the squared angle. A pixel averages the light over
-//! its square and the point spread, with weights that depend on the pixel alone.
+//! its square and the point spread, with weights that depend on the pixel alone. A polygonal opening is averaged over all
+//! directions: a weighted sum of discs ([`Opening::discs`]).
 
 use rayon::prelude::*;
 
 use super::response::Obliquity;
+use crate::model::Opening;
 
 /// The two discs of a micro-image, with the angular response.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,15 +19,16 @@ pub(crate) struct WhiteDiscs {
     pub pupil_px: f64,
     /// Blur radius q of a point of the pupil, px, with the sign of Eq. (radiusfinal).
     pub q_px: f64,
-    /// Radius of the opening, px.
+    /// Half the width of the opening, px.
     pub opening_px: f64,
+    pub opening: Opening,
     pub law: Obliquity,
 }
 
 /// Light at a point of the sensor, with its derivatives.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct PointLight {
-    /// Light relative to normal incidence from the whole smaller disc.
+    /// Light relative to normal incidence from the whole smaller disc, of which one is the disc within the opening.
     pub light: f64,
     /// Decrease of the light with the outward gradient g of the angular response, px: the light times the mean of the vectors
     /// y − M of its rays, weighted by the decrease of light with their angle.
@@ -47,22 +50,59 @@ const LEAST_PX: f64 = 1e-6;
 impl WhiteDiscs {
     /// Creates discs of two radii, px, without angular response.
     pub fn plain(pupil_px: f64, blur_px: f64) -> Self {
-        Self { pupil_px, q_px: blur_px, opening_px: 0.0, law: Obliquity::default() }
+        let (opening, law) = (Opening::Disc, Obliquity::default());
+        Self { pupil_px, q_px: blur_px, opening_px: 0.0, opening, law }
     }
 
     /// Returns the light at a distance from the centre, px.
     pub fn light(&self, distance_px: f64) -> f64 {
-        let overlap = self.overlap(distance_px);
-        overlap.area * self.response(distance_px, &overlap, 0.0)
+        self.parts().map(|(weight, part)| weight * part.light_of_disc(distance_px)).sum()
     }
 
     /// Returns the mean angular response at a distance from the centre, px.
     pub fn fall_off(&self, distance_px: f64) -> f64 {
-        self.response(distance_px, &self.overlap(distance_px), 0.0)
+        let response = |part: &Self| part.response(distance_px, &part.overlap(distance_px), 0.0);
+        let area = |(weight, part): &(f64, Self)| weight * part.overlap(distance_px).area;
+        let whole: f64 = self.parts().map(|part| area(&part)).sum();
+        if whole <= 0.0 {
+            return response(self);
+        }
+        self.light(distance_px) / whole
     }
 
     /// Returns the light at a distance from the centre, px, with its derivatives.
     pub fn point(&self, distance_px: f64) -> PointLight {
+        self.parts().fold(PointLight::default(), |sum, (weight, part)| {
+            let of = part.point_of_disc(distance_px);
+            PointLight {
+                light: sum.light + weight * of.light,
+                sensitivity: sum.sensitivity + weight * of.sensitivity,
+                by_within: sum.by_within + weight * of.by_within,
+                by_obliquity: sum.by_obliquity + weight * of.by_obliquity,
+            }
+        })
+    }
+
+    /// Returns the discs that replace the opening, with their weights.
+    fn parts(&self) -> impl Iterator<Item = (f64, Self)> {
+        let smaller_px = self.smaller_px();
+        self.opening.discs().iter().map(move |&(radius, weight)| {
+            let part = Self {
+                q_px: self.q_px * radius,
+                opening_px: self.opening_px * radius,
+                opening: Opening::Disc,
+                ..*self
+            };
+            (weight * (part.smaller_px() / smaller_px).powi(2), part)
+        })
+    }
+
+    fn light_of_disc(&self, distance_px: f64) -> f64 {
+        let overlap = self.overlap(distance_px);
+        overlap.area * self.response(distance_px, &overlap, 0.0)
+    }
+
+    fn point_of_disc(&self, distance_px: f64) -> PointLight {
         let overlap = self.overlap(distance_px);
         if overlap.area <= 0.0 {
             return PointLight::default();
@@ -439,7 +479,13 @@ mod tests {
                 ..Oracle::default()
             };
             let law = oracle.law();
-            let discs = WhiteDiscs { pupil_px: a, q_px: q, opening_px: HALF_PITCH, law };
+            let discs = WhiteDiscs {
+                pupil_px: a,
+                q_px: q,
+                opening_px: HALF_PITCH,
+                opening: Opening::Disc,
+                law,
+            };
             let [seen] = RadialPixels::new(spread, 12.0).see(|t| [discs.light(t)]);
             let all = oracle.whole_disc() * f64::min(1.0, a / q.abs()).powi(2);
             for r in [0.0, 0.6, 2.9, 4.5, 6.4, 8.1, 9.6] {
@@ -461,6 +507,7 @@ mod tests {
             pupil_px: 5.7,
             q_px: -4.3,
             opening_px: 11.0,
+            opening: Opening::Disc,
             law: Obliquity::in_the_middle(5e-3, 60.0, 11.5),
         };
         let with = |change: &dyn Fn(&mut WhiteDiscs)| {

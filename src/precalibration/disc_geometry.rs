@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 
 use super::grid::MicroImageArray;
 use super::options::PrecalibrationOptions;
-use crate::model::{InternalParameters, TiltGradient, growth_per_px};
+use crate::model::{InternalParameters, Opening, TiltGradient, growth_per_px};
 use crate::optics::{Obliquity, RadialPixels, Seen, WhiteDiscs};
 
 /// Step of derivatives by the relative growth of d.
@@ -17,8 +17,9 @@ pub(super) struct DiscGeometry {
     pupil_px: f64,
     /// Signed blur radius φqᵢ by lens type, px.
     q_px: Vec<f64>,
-    /// Radius φΔC/2 of a micro-lens, px.
+    /// Half the width φΔC of a micro-lens, px.
     lens_px: f64,
+    opening: Opening,
     /// Ratio (D + d)/d.
     lens_to_sensor: f64,
     /// Variance of the point spread, px².
@@ -45,6 +46,7 @@ impl DiscGeometry {
             // The micro-image pitch is the lens pitch projected from the pupil. If a large pupil and a large blur
             // nearly cancel in the centroid shift, these 2 % matter.
             lens_px: ratio * pitch_px / 2.0 * (1.0 - distance_px / lens_to_sensor_px),
+            opening: internal.opening,
             lens_to_sensor: lens_to_sensor_px / distance_px,
             point_spread_px2: internal.point_spread_px2(),
         }
@@ -99,6 +101,7 @@ impl DiscGeometry {
             pupil_px: a + by_growth * growth,
             q_px: q + q_by_growth * growth,
             opening_px: self.lens_px,
+            opening: self.opening,
             law,
         };
         let pixels = RadialPixels::new(self.point_spread_px2, reach_px);

@@ -18,6 +18,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::profile::{Profile, own_light_px};
+use crate::model::Opening;
 use crate::optics::{Obliquity, RadialPixels, Seen, WhiteDiscs};
 use crate::quantity::Estimate;
 
@@ -77,6 +78,8 @@ pub(super) struct Known {
     pub pitch_px: f64,
     /// H relative to the H of cos⁴.
     pub within: f64,
+    /// Shape of the openings of the micro-lenses.
+    pub opening: Opening,
 }
 
 impl Known {
@@ -89,6 +92,8 @@ impl Known {
 /// Fitted discs, with standard deviations.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Discs {
+    /// Shape of the openings of the micro-lenses.
+    pub opening: Opening,
     /// Slope |m| and its σ, px.
     pub m_px: (f64, f64),
     /// Growth of the pupil (a/(|m|/N) − 1) N² = c/2 · (m/d)².
@@ -278,7 +283,7 @@ impl<'a> Fit<'a> {
         let (within, opening_px) = (within * self.known.cos4_per_px2(), pitch_px / 2.0);
         let law = Obliquity::in_the_middle(within, mla_to_sensor_px, opening_px);
         let q_px = blur * self.known.q_px[light.lens_type].signum();
-        WhiteDiscs { pupil_px, q_px, opening_px, law }
+        WhiteDiscs { pupil_px, q_px, opening_px, opening: self.known.opening, law }
     }
 
     /// Computes the light of one profile from its discs.
@@ -446,6 +451,7 @@ impl<'a> Fit<'a> {
         let (within, spread) = (of(h), of(spread));
         let cos4 = self.known.cos4_per_px2();
         Some(Discs {
+            opening: self.known.opening,
             m_px: of(m),
             pupil_growth: self.at[c] / 2.0 * (self.at[m] / self.known.mla_to_sensor_px).powi(2),
             blur_px: (self.whites()..h).map(of).map(|(b, sd)| (b, sd.hypot(BLUR_MODEL))).collect(),

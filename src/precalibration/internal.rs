@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::discs::Discs;
-use crate::model::{Configuration, InternalParameters};
+use crate::model::{Configuration, InternalParameters, Opening};
 
 /// The radius of the micro-images of one lens type at one f-number.
 #[derive(Debug, Clone, PartialEq)]
@@ -86,6 +86,7 @@ pub(super) fn fit_internal(
             vignetting: None,
             point_spread_px2: None,
             aperture_ratio: None,
+            opening: Opening::Disc,
             levels: None,
         },
         rms_px: (sum / rows as f64).sqrt(),
@@ -120,6 +121,7 @@ pub(super) fn internal_of_discs(
         vignetting: None,
         point_spread_px2: Some(discs.point_spread_px2),
         aperture_ratio: None,
+        opening: discs.opening,
         levels: None,
     };
     for m in measurements.iter_mut() {

@@ -12,6 +12,7 @@ use super::discs::Discs;
 use super::f_numbers::{Doubt, doubtful};
 use super::fall_off::{Light, Measured};
 use super::lens_types::judge_types;
+use super::opening::cell_share;
 use super::options::{PrecalibrationOptions, White};
 use super::pattern::Pattern;
 use super::radii::{RadiusEstimator, TypeRadius};
@@ -22,7 +23,7 @@ use crate::checks::whites as checks;
 use crate::error::Result;
 use crate::finding::Finding;
 use crate::image::Grey;
-use crate::model::{FallOff, InternalParameters, SampleLevels, full_scale};
+use crate::model::{FallOff, InternalParameters, Opening, SampleLevels, full_scale};
 use crate::optics::Obliquity;
 
 /// Measures the white images. Returns the discs too, if the light shows them.
@@ -72,7 +73,26 @@ pub(super) fn measured(
     let cos4 = in_the_middle(None, &lines, seen_pitch_px, options);
     let mut first = light.fall_off(&lines, options, &cos4);
     // Straight lines are accurate enough for a start.
-    let of_light = samples.discs(&by_profile, &lines, first.fall_off.within_per_px2, seen_pitch_px);
+    let of_shape = |opening: Opening| {
+        let within = first.fall_off.within_per_px2;
+        samples.discs(&by_profile, &lines, within, seen_pitch_px, opening)
+    };
+    let mut of_light = of_shape(Opening::Disc);
+    let round = samples.internal(
+        of_light.as_ref(),
+        &mut samples.measurements(&by_profile),
+        &by_profile,
+        seen_pitch_px,
+    )?;
+    let cell_share = cell_share(&samples, &found, &round.parameters, options.pixel_size_mm);
+    let (opening, doubtful_opening) = checks::opening(
+        options.stated.and_then(|sheet| sheet.opening),
+        found.array.grid.lattice.kind(),
+        cell_share,
+    );
+    if opening != Opening::Disc {
+        of_light = of_shape(opening);
+    }
     let discs = of_light.as_ref();
     take_within(&mut first.fall_off, discs);
     let obliquity = in_the_middle(Some(&first.fall_off), &lines, seen_pitch_px, options);
@@ -116,11 +136,28 @@ pub(super) fn measured(
     let types = checks::lens_types(lens_types.agreement);
     // A wrong f-number explains why there are no discs.
     let by_light = wrong_f_number.or(by_lines);
-    let told = [by_light, wrong_aperture, everywhere, oblong, types, unknown_fall_off, black];
+    let told = [
+        by_light,
+        wrong_aperture,
+        doubtful_opening,
+        everywhere,
+        oblong,
+        types,
+        unknown_fall_off,
+        black,
+    ];
     let findings = doubtful_colors(whites).into_iter().chain(told.into_iter().flatten()).collect();
     let images = whites.iter().map(|white| white.name.clone()).collect();
-    let measured =
-        Precalibration { array, lens_types, images, radii, internal, pitch_correction, findings };
+    let measured = Precalibration {
+        array,
+        lens_types,
+        images,
+        radii,
+        internal,
+        cell_share,
+        pitch_correction,
+        findings,
+    };
     Ok((measured, of_light))
 }
 
@@ -239,6 +276,7 @@ mod tests {
             vignetting: None,
             point_spread_px2: None,
             aperture_ratio: None,
+            opening: Opening::Disc,
             levels: None,
         };
         let of = |estimator| {

@@ -21,6 +21,7 @@ mod linearity;
 mod measurement;
 mod micro_image_status;
 mod nodes;
+mod opening;
 mod options;
 mod pattern;
 mod profile;

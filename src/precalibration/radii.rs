@@ -176,7 +176,7 @@ const OUTLIERS: Outliers =
     Outliers { weight: Weight::Cut, scale: Scale::Median, scales: 6.0, least: 0.0, slack: 1e-9 };
 
 /// Returns mean and standard deviation without outliers; `None` for fewer than two values.
-fn mean_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
+pub(super) fn mean_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
     if values.len() < 2 {
         return None;
     }

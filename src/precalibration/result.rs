@@ -8,7 +8,7 @@ use super::internal::{InternalFit, RadiusMeasurement};
 use crate::error::{Error, Result};
 use crate::finding::Finding;
 use crate::model::Datasheet;
-use crate::quantity::counted;
+use crate::quantity::{Estimate, counted};
 
 /// Measurements of a camera from white images.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,6 +23,8 @@ pub struct Precalibration {
     pub radii: Vec<RadiusMeasurement>,
     /// The internal parameters.
     pub internal: InternalFit,
+    /// Cell share of the openings, 0 for discs and 1 for cells of the lattice, if micro-images are small enough to show it.
+    pub cell_share: Option<Estimate>,
     /// Relative change of the pitch by the correction of the centres.
     pub pitch_correction: f64,
     /// Findings for the user.

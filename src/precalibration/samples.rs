@@ -14,7 +14,7 @@ use super::profile::own_light_px;
 use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, radius_at};
 use crate::error::{Error, Result};
 use crate::image::{Grey, Image};
-use crate::model::{InternalParameters, LatticeKind, SampleLevels};
+use crate::model::{InternalParameters, LatticeKind, Opening, SampleLevels};
 use crate::optics::{Obliquity, WhiteDiscs};
 
 /// Tolerances of the patterns of one camera at two f-numbers: of the pitch, relative, and of the position, in pitches.
@@ -113,7 +113,8 @@ impl<'a> Samples<'a> {
             let reach = own_light_px(2.0 * half_pitch_px, pupil_px + widest, spread_px2.sqrt());
             let again = |(radius, q_px): (&TypeRadius, &f64)| {
                 let (q_px, opening_px, law) = (*q_px, half_pitch_px, *obliquity);
-                let discs = WhiteDiscs { pupil_px, q_px, opening_px, law };
+                let opening = internal.opening;
+                let discs = WhiteDiscs { pupil_px, q_px, opening_px, opening, law };
                 radius.oblique(&discs, reach, spread_px2)
             };
             radii.iter().zip(&q_px).map(again).collect()
@@ -129,6 +130,7 @@ impl<'a> Samples<'a> {
         internal: &InternalParameters,
         within_per_px2: f64,
         micro_image_pitch_px: f64,
+        opening: Opening,
     ) -> Option<Discs> {
         let pixel = self.options.pixel_size_mm;
         let mla_to_sensor_px = self.options.distances_px(internal.m_mm).1;
@@ -143,10 +145,17 @@ impl<'a> Samples<'a> {
             mla_to_sensor_px,
             pitch_px: micro_image_pitch_px,
             within: within_per_px2 * mla_to_sensor_px.powi(2) / 4.0,
+            opening,
         };
         let profiles: Vec<Vec<_>> =
             radii.iter().map(|radii| radii.iter().map(|r| &r.profile).collect()).collect();
         fit_discs(&profiles, &known)
+    }
+
+    /// Returns the middle of a white image, where radii are measured, and the pattern there.
+    pub fn middle(&self, white: usize) -> (&Image, &Pattern) {
+        let sample = &self.samples[white];
+        (&sample.middle, &sample.pattern)
     }
 
     /// Lists the radii by white image and then by lens type.

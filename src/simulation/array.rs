@@ -1,11 +1,12 @@
-//! The micro-lens array as the tracer sees it: thin lenses with circular openings in one tilted plane.
+//! The micro-lens array as the tracer sees it: thin lenses in one tilted plane.
 //!
 //! The tracer works in the lens frame, with z along the optical axis. Array and sensor are turned in it together if the main
 //! lens is tilted.
 
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector2, Vector3};
 
-use crate::model::PlenopticCamera;
+use super::imperfections::Imperfections;
+use crate::model::{Opening, PlenopticCamera};
 
 /// One micro-lens.
 #[derive(Debug, Clone)]
@@ -39,7 +40,14 @@ pub(super) struct MicroLenses {
     pub axes: Matrix3<f64>,
     /// Pitch ΔC along x.
     pub pitch: f64,
+    /// Half the width of the openings.
     pub opening_radius: f64,
+    pub opening: Opening,
+    /// Radius of the circle about an opening.
+    pub opening_reach: f64,
+    /// Direction of the normal of one of its sides, local, and the normals of its pairs of parallel sides; 0 for a disc.
+    pub normal_rad: f64,
+    normals: [Vector2<f64>; 3],
     /// Diameter of the openings over the pitch.
     pub aperture_ratio: f64,
     /// Distance of the sensor from the main lens along the normal of the sensor.
@@ -50,9 +58,12 @@ pub(super) struct MicroLenses {
 }
 
 impl MicroLenses {
-    /// Creates the array with openings of `aperture_ratio` times the pitch.
-    pub fn new(camera: &PlenopticCamera, aperture_ratio: f64) -> Self {
+    /// Creates the array with the openings of its imperfections.
+    pub fn new(camera: &PlenopticCamera, imperfections: &Imperfections) -> Self {
+        let Imperfections { aperture_ratio, opening, .. } = *imperfections;
         let mla = &camera.mla;
+        let normal_rad = Opening::normal_rad(camera.lattice.kind(), 0.0);
+        let opening_radius = aperture_ratio * mla.pitch_mm * mla.pitch_ratio.sqrt() / 2.0;
         let [x, y, z] = mla.rotation_rad.into();
         let lens_from_camera = camera.main_lens.camera_from_lens().inverse();
         let axes = lens_from_camera * Rotation3::from_euler_angles(x, y, z);
@@ -82,12 +93,24 @@ impl MicroLenses {
             axes: axes.into_inner(),
             pitch: mla.pitch_mm,
             aperture_ratio,
-            opening_radius: aperture_ratio * mla.pitch_mm * mla.pitch_ratio.sqrt() / 2.0,
+            opening_radius,
+            opening,
+            opening_reach: opening_radius * opening.reach(),
+            normal_rad,
+            normals: opening.normals(normal_rad),
             lens_to_sensor: mla.lens_to_mla_mm + mla.mla_to_sensor_mm,
             pixel_size: camera.sensor.pixel_size_mm,
             principal_point: mla.principal_point_px,
             lens_from_camera,
         }
+    }
+
+    /// Returns true if a ray through a point of the circle about the opening (local) passes the opening.
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // compiled for the registers of loops over rays
+    pub fn is_open(&self, on_lens: Vector2<f64>) -> bool {
+        let [a, b, c] = self.normals.map(|normal| normal.dot(&on_lens).abs());
+        a.max(b).max(c) <= self.opening_radius
     }
 
     /// Converts a pose from the camera frame to the lens frame.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::array::MicroLens;
 use super::spread::half_width_px;
 use crate::error::{Error, Result};
-use crate::model::{PlenopticCamera, Sensor, positive};
+use crate::model::{Opening, PlenopticCamera, Sensor, positive};
 
 /// Departures from the ideal model, none by default.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -20,6 +20,8 @@ pub struct Imperfections {
     /// Aperture ratio: diameter of the micro-lenses' openings over their pitch, above 0 and up to 1. The rest is opaque.
     #[serde(alias = "fill_factor")]
     pub aperture_ratio: f64,
+    /// Shape of these openings.
+    pub opening: Opening,
     /// Law of the angular response: fall-off of light with its angle of incidence on the sensor.
     pub fall_off: FallOffLaw,
     /// Standard deviation of a Gaussian point spread on the sensor along each axis, px, due to diffraction, aberrations of the
@@ -62,6 +64,7 @@ impl Default for Imperfections {
         Self {
             second_stop: None,
             aperture_ratio: 1.0,
+            opening: Opening::Disc,
             fall_off: FallOffLaw::Cos4,
             point_spread_px: 0.0,
             dead_micro_lenses: 0,
@@ -118,6 +121,7 @@ impl Imperfections {
                 self.aperture_ratio
             )));
         }
+        self.opening.check(camera.lattice.packing.kind())?;
         if let Some(stop) = self.second_stop {
             positive(stop.diameter_mm, "the diameter of the second stop (mm)")?;
             place("a second stop", stop.z_mm, distance)?;

@@ -21,6 +21,7 @@ use super::scene::PlacedTarget;
 use super::thin_lens::{Aim, ThinMainLens};
 use super::tracer::Tracer;
 use super::window::Window;
+use crate::model::Opening;
 
 /// The rays between one pixel and one micro-lens, in local coordinates.
 pub(super) struct Bundle {
@@ -221,9 +222,16 @@ impl Block {
         points: &Points,
         which: Range<usize>,
     ) {
-        let opening = tracer.array.opening_radius;
-        let radius = if draw.on_opening { opening } else { tracer.lens.drawn.radius };
+        let array = &tracer.array;
+        let radius = if draw.on_opening { array.opening_reach } else { tracer.lens.drawn.radius };
         match draw.window {
+            Window::Disc if draw.on_opening => {
+                for i in which.clone() {
+                    let place = points.opening(i) * radius;
+                    (self.on_lens[0][i], self.on_lens[1][i]) = (place.x, place.y);
+                    self.light[i] *= draw.area;
+                }
+            }
             Window::Disc => self.place(Window::Disc, (radius, draw.area), points, which.clone()),
             Window::Rectangle { along, low, high, half } => {
                 let window = Window::Rectangle { along, low, high, half };
@@ -231,13 +239,19 @@ impl Block {
             }
         }
         if !draw.on_opening {
-            for i in which {
+            for i in which.clone() {
                 let aim = Vector2::new(self.on_lens[0][i], self.on_lens[1][i]);
                 let on_lens = tracer.towards_pupil(lens, &self.pixel(i), aim);
                 self.on_lens[0][i] = on_lens.x;
                 self.on_lens[1][i] = on_lens.y;
-                let inside = on_lens.norm_squared() <= opening * opening;
+                let inside = on_lens.norm_squared() <= array.opening_reach.powi(2);
                 self.light[i] = if inside { self.light[i] } else { 0.0 };
+            }
+        }
+        if array.opening != Opening::Disc {
+            for i in which {
+                let open = array.is_open(Vector2::new(self.on_lens[0][i], self.on_lens[1][i]));
+                self.light[i] = if open { self.light[i] } else { 0.0 };
             }
         }
     }

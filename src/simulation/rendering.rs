@@ -43,7 +43,9 @@ impl Tracer {
         let board = self.place(scene)?;
         let (width, height) = (self.sensor().width_px as usize, self.sensor().height_px as usize);
         let by_row = self.micro_lenses_by_row();
-        let sets = RaySets::new(rays, &Footprint::new(self.point_spread_px));
+        let array = &self.array;
+        let sets = RaySets::new(rays, &Footprint::new(self.point_spread_px))
+            .through(array.opening, array.normal_rad);
         let scale = 1.0 / self.reference_irradiance();
         let mut pixels = vec![0.0_f32; width * height];
         pixels.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
@@ -172,7 +174,7 @@ impl Tracer {
         let mut reach = Vector2::repeat(SURELY_SQUARES);
         for axis in [Vector2::x(), Vector2::y()] {
             let half_px = axis.x * half_width + axis.y * half_height;
-            let ends = [(axis * half_px, none), (none, axis * self.array.opening_radius)];
+            let ends = [(axis * half_px, none), (none, axis * self.array.opening_reach)];
             for (off_px, on_lens) in ends {
                 reach += (place(off_px, on_lens)? - at).abs() * SURELY;
             }
@@ -219,24 +221,29 @@ impl Tracer {
         let demagnification = lens.demagnification(to_sensor, to_pupil);
         // All lengths are in the plane of the micro-lens, times the demagnification, which may be 0.
         let place = pupil.xy() + pixel.xy() * (to_pupil / to_sensor);
-        let stop = array.opening_radius * demagnification.abs();
+        let stop = array.opening_reach * demagnification.abs();
         let pixel_reach = reach_px * array.pixel_size * to_pupil / to_sensor;
         if place.norm() > (stop + drawn.radius + pixel_reach) * OUTLINE_MARGIN {
             return None;
         }
         let on_opening = stop <= drawn.radius;
         let radius =
-            if on_opening { array.opening_radius } else { drawn.radius / demagnification.abs() };
+            if on_opening { array.opening_reach } else { drawn.radius / demagnification.abs() };
         // The other disc, in units of the disc that rays are drawn from.
         let window = if on_opening {
             let reach = (drawn.radius + pixel_reach) * OUTLINE_MARGIN;
-            Window::about(place / (demagnification * array.opening_radius), reach / stop)
+            Window::about(place / (demagnification * array.opening_reach), reach / stop)
         } else {
             let reach = (stop + pixel_reach) * OUTLINE_MARGIN;
             let place = (array.axes * place.push(0.0)).xy();
             Window::about(-place / drawn.radius, reach / drawn.radius)
         };
-        let area = window.area() * radius * radius;
+        let opening = array.opening;
+        let area = match window {
+            Window::Disc if on_opening => opening.area() / opening.reach().powi(2),
+            _ => window.area(),
+        } * radius
+            * radius;
         let middle = if stop > 0.0 { place / demagnification } else { place };
         Some(Draw { on_opening, window, area, middle })
     }

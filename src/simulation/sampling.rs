@@ -4,6 +4,7 @@ use nalgebra::Vector2;
 use sobol_burley::sample;
 
 use super::spread::Footprint;
+use crate::model::Opening;
 
 /// Number of rays that are traced side by side.
 pub(super) const BLOCK: usize = 32;
@@ -15,6 +16,8 @@ struct PointBlock {
     pixel: [[f64; BLOCK]; 2],
     square: [[f64; BLOCK]; 2],
     disc: [[f64; BLOCK]; 2],
+    /// Positions in the opening of a micro-lens, in units of the radius of the circle about it.
+    opening: [[f64; BLOCK]; 2],
     /// Weights of the rays: 1, or 0 beyond the last ray of the set.
     share: [f64; BLOCK],
 }
@@ -47,6 +50,13 @@ impl Points<'_> {
     #[inline(always)]
     pub fn disc(&self, i: usize) -> Vector2<f64> {
         let ([x, y], [.., sign_x, sign_y]) = (&self.block.disc, self.signs);
+        Vector2::new(x[i] * sign_x, y[i] * sign_y)
+    }
+
+    /// Returns the position of ray `i` in the opening of the micro-lens.
+    #[inline(always)]
+    pub fn opening(&self, i: usize) -> Vector2<f64> {
+        let ([x, y], [.., sign_x, sign_y]) = (&self.block.opening, self.signs);
         Vector2::new(x[i] * sign_x, y[i] * sign_y)
     }
 
@@ -88,8 +98,13 @@ impl RaySets {
     pub fn new(rays: u32, footprint: &Footprint) -> Self {
         let block = |set: u32, first: u32| {
             let none = [[0.0; BLOCK]; 2];
-            let mut block =
-                PointBlock { pixel: none, square: none, disc: none, share: [0.0; BLOCK] };
+            let mut block = PointBlock {
+                pixel: none,
+                square: none,
+                disc: none,
+                opening: none,
+                share: [0.0; BLOCK],
+            };
             for (i, ray) in (first..rays).take(BLOCK).enumerate() {
                 let part = |d: u32| f64::from(sample(ray, d, set));
                 let (a, b) = (2.0 * part(2) - 1.0, 2.0 * part(3) - 1.0);
@@ -98,6 +113,7 @@ impl RaySets {
                     block.pixel[axis][i] = footprint.place(part(dimension));
                     block.square[axis][i] = [a, b][axis];
                     block.disc[axis][i] = [x, y][axis];
+                    block.opening[axis][i] = [x, y][axis];
                 }
                 block.share[i] = 1.0;
             }
@@ -106,6 +122,17 @@ impl RaySets {
         let set = |set: u32| (0..rays).step_by(BLOCK).map(|first| block(set, first)).collect();
         let sets = (POINTS / rays).clamp(1, SETS);
         Self { rays: rays as usize, sets: (0..sets).map(set).collect() }
+    }
+
+    /// Takes micro-lenses with this opening, with the direction of the normal of one of its sides, rad: along an axis.
+    pub fn through(mut self, opening: Opening, normal_rad: f64) -> Self {
+        for block in self.sets.iter_mut().flatten() {
+            for i in 0..BLOCK {
+                let [x, y] = in_opening(opening, normal_rad, [block.disc[0][i], block.disc[1][i]]);
+                (block.opening[0][i], block.opening[1][i]) = (x, y);
+            }
+        }
+        self
     }
 
     /// Returns the set that belongs to a hash.
@@ -166,6 +193,23 @@ fn disc(x: f64, y: f64) -> [f64; 2] {
         (y, 2.0 * eighth - eighth * x / y)
     };
     [radius * angle.cos(), radius * angle.sin()]
+}
+
+/// Maps the unit disc onto an opening within the unit circle. The map preserves ratios of areas: it stretches the sectors of
+/// the disc to the triangles between the middle and a side.
+fn in_opening(opening: Opening, normal_rad: f64, [x, y]: [f64; 2]) -> [f64; 2] {
+    if opening == Opening::Disc {
+        return [x, y];
+    }
+    let half = std::f64::consts::PI / f64::from(opening.sides());
+    let side = ((y.atan2(x) - normal_rad) / (2.0 * half)).round();
+    let normal = normal_rad + 2.0 * half * side;
+    // From −1 to 1 along the side.
+    let angle = y.atan2(x) - normal;
+    let along = half.tan() * angle / half;
+    let (sin, cos) = normal.sin_cos();
+    let radius = x.hypot(y) / opening.reach();
+    [radius * (cos - along * sin), radius * (sin + along * cos)]
 }
 
 /// Mixes several numbers into one (the finaliser of SplitMix64, chained).

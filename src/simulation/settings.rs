@@ -209,6 +209,7 @@ impl Settings {
             array_size: Some((camera.lattice.columns, camera.lattice.rows)),
             lens_types: camera.lens_types(),
             micro_image_pitch_px: None,
+            opening: None,
         }
     }
 

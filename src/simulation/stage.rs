@@ -97,6 +97,7 @@ fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Result<Tru
     let variance_px2 = imperfections.point_spread_px.powi(2) + 2.0 * imaging.crosstalk;
     let edge_spread = EdgeSpread {
         aperture_ratio: internal.aperture_ratio,
+        opening: internal.opening,
         point_spread_px2: Some(Estimate::exact(variance_px2)),
     };
     Ok(Truth {

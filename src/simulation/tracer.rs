@@ -68,7 +68,7 @@ impl Tracer {
             ));
         }
         let (focal_length, mla) = (camera.main_lens.focal_length_mm, &camera.mla);
-        let mut array = MicroLenses::new(camera, imperfections.aperture_ratio);
+        let mut array = MicroLenses::new(camera, imperfections);
         imperfections.kill(&mut array.lenses, seed);
         let tracer = Self {
             sensor: camera.sensor,
@@ -163,6 +163,7 @@ impl Tracer {
             vignetting: None,
             point_spread_px2: None,
             aperture_ratio: Some(Estimate::exact(self.array.aperture_ratio)),
+            opening: self.array.opening,
             levels: None,
         }
     }
@@ -186,7 +187,7 @@ impl Tracer {
     pub(super) fn micro_image_radius_px(&self, lens: &MicroLens) -> f64 {
         let to_sensor = self.array.to_sensor_mm(&lens.center);
         let to_pupil = self.lens.pupil.center.z - lens.center.z;
-        let stop = lens.demagnification(to_sensor, to_pupil).abs() * self.array.opening_radius;
+        let stop = lens.demagnification(to_sensor, to_pupil).abs() * self.array.opening_reach;
         (stop + self.lens.drawn.radius) * to_sensor / to_pupil / self.array.pixel_size
     }
 
@@ -198,8 +199,12 @@ impl Tracer {
             let to_sensor = self.array.to_sensor_mm(&lens.center);
             let to_pupil = self.lens.pupil.center.z - lens.center.z;
             let demagnification = lens.demagnification(to_sensor, to_pupil).abs();
-            let radius = (self.lens.pupil.radius / demagnification).min(self.array.opening_radius);
-            std::f64::consts::PI * (radius / to_sensor).powi(2)
+            let pupil = self.lens.pupil.radius / demagnification;
+            let of_disc = |(radius, weight): &(f64, f64)| {
+                weight * pupil.min(radius * self.array.opening_radius).powi(2)
+            };
+            let square: f64 = self.array.opening.discs().iter().map(of_disc).sum();
+            std::f64::consts::PI * square / to_sensor.powi(2)
         };
         self.one_of_each_type().map(middle).fold(0.0, f64::max)
     }

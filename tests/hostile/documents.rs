@@ -11,7 +11,7 @@ use plenocal::io::{
     poses_document, stage_problem, write_features,
 };
 use plenocal::model::{
-    BapFeature, FramePose, InternalParameters, MeasuredBlur, PlenopticCamera, TAKEN,
+    BapFeature, FramePose, InternalParameters, MeasuredBlur, Opening, PlenopticCamera, TAKEN,
 };
 use plenocal::precalibration::MicroImageArray;
 use serde_json::{Value, json};
@@ -210,6 +210,7 @@ pub fn compote_documents() -> [Value; 4] {
         vignetting: None,
         point_spread_px2: None,
         aperture_ratio: None,
+        opening: Opening::Disc,
         levels: None,
     };
     let poses: Vec<FramePose> = true_poses().into_iter().take(3).collect();

@@ -8,7 +8,7 @@ use plenocal::Estimate;
 use plenocal::io::{
     Project, read_camera, read_centers, read_features, read_image, read_poses, read_true_board,
 };
-use plenocal::model::{BoardShape, EdgeSpread, PlenopticCamera};
+use plenocal::model::{BoardShape, EdgeSpread, Opening, PlenopticCamera};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use tempfile::TempDir;
@@ -64,6 +64,7 @@ fn a_data_set_has_its_truth() {
     let truth = set.path().join("truth");
     let edge_spread = EdgeSpread {
         aperture_ratio: Some(Estimate::exact(1.0)),
+        opening: Opening::Disc,
         point_spread_px2: Some(Estimate::exact(0.0)),
     };
     let camera = PlenopticCamera { edge_spread, ..preset("mini", &[]).camera };

@@ -57,7 +57,7 @@ void require_known_fields(const Field& root) {
   root["micro_lens_array"].require_keys({"lattice", "columns", "rows", "shifted", "lens_to_mla_mm",
                                          "mla_to_sensor_mm", "rotation_rad", "offset_mm",
                                          "pitch_mm", "pitch_ratio", "focal_lengths_mm",
-                                         "aperture_ratio", "fill_factor"});
+                                         "aperture_ratio", "fill_factor", "opening"});
 }
 
 void require_distances(const Field& boards) {

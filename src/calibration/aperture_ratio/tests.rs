@@ -28,6 +28,7 @@ fn start() -> Start {
         array_size: Some((camera.lattice.columns, camera.lattice.rows)),
         lens_types: 3,
         micro_image_pitch_px: None,
+        opening: None,
     };
     let half_mm = PITCH_MM / 2.0;
     let internal = InternalParameters {
