@@ -1,8 +1,9 @@
 //! The aperture ratio of the micro-lenses: from boards, and in whole calibrations.
 
+use plenocal::assessment::ParameterError;
 use plenocal::calibration::CalibrationOptions;
 use plenocal::detection::DetectedBoards;
-use plenocal::model::optics;
+use plenocal::model::{Opening, optics};
 use plenocal::{Error, Estimate, Result};
 
 use crate::sets::{Extent, Set, seeds, set, step};
@@ -157,6 +158,97 @@ pub fn cameras(extent: &Extent) -> Result<Vec<String>> {
         seeds(&CAMERAS, SEED_OF_CAMERAS)
     );
     Ok(vec![table.with(&coverage)])
+}
+
+const OPENINGS: [Set; 7] = [
+    set("`mini`", "mini", &["imperfections.opening=hexagon"]),
+    set(
+        "`mini`",
+        "mini",
+        &[
+            "imperfections.opening=hexagon",
+            "imperfections.aperture_ratio=0.92",
+            "imperfections.point_spread_px=0.4",
+        ],
+    ),
+    set("`keplerian`", "keplerian", &["imperfections.opening=hexagon"]),
+    set("`mini-double-gauss`", "mini-double-gauss", &["imperfections.opening=hexagon"]),
+    set(
+        "`mini`, square lattice, one type",
+        "mini",
+        &[
+            "imperfections.opening=square",
+            "camera.micro_lens_array.lattice=orthogonal",
+            "camera.micro_lens_array.focal_lengths_mm=[0.54]",
+        ],
+    ),
+    set(
+        "`mini`, square lattice, one type",
+        "mini",
+        &[
+            "imperfections.opening=square",
+            "imperfections.aperture_ratio=0.92",
+            "imperfections.point_spread_px=0.4",
+            "camera.micro_lens_array.lattice=orthogonal",
+            "camera.micro_lens_array.focal_lengths_mm=[0.54]",
+        ],
+    ),
+    set("`real-c`", "real-c", &[]),
+];
+const SEED_OF_OPENINGS: u64 = 9911;
+
+/// Calibrates cameras whose openings are hexagons or squares, and again as if they were discs.
+pub fn openings(extent: &Extent) -> Result<Vec<String>> {
+    let mut table = Table::new(&[
+        "set",
+        "opening",
+        "cell share",
+        "φ",
+        "φ found",
+        "F",
+        "d",
+        "f",
+        "distances",
+        "as discs: F",
+        "f",
+    ]);
+    for (set, settings) in extent.settings(&OPENINGS, SEED_OF_OPENINGS)? {
+        step(&format!("{}, seed {}", set.name, settings.seed));
+        let camera = Calibrated::of(settings, &CalibrationOptions::default())?;
+        let shoot = &camera.shoot;
+        let round = Shoot::stated(shoot.settings.clone(), Some(Opening::Disc))?;
+        let as_discs = Calibrated::of_shoot(round, &CalibrationOptions::default())?;
+        let evaluation = camera.evaluation(&[&camera.calibration], 0)?;
+        let distances = evaluation.candidates[0].reconstruction.as_ref();
+        let relative = |errors: &[ParameterError], name: &str| {
+            let error = error_of(errors, name);
+            relative_error(&estimate_of(error), error.truth, 2)
+        };
+        let worst_type = |errors: &[ParameterError]| {
+            let of = |name: &str| errors.iter().find(|error| error.name == name);
+            let types = ["f_1", "f_2", "f_3"].into_iter().filter_map(of);
+            let size = |error: &&ParameterError| (error.error() / error.truth).abs();
+            let worst = types.max_by(|a, b| size(a).total_cmp(&size(b)));
+            worst.map_or("-".to_owned(), |error| relative(errors, &error.name))
+        };
+        let (errors, of_discs) =
+            (camera.errors(&camera.calibration)?, as_discs.errors(&as_discs.calibration)?);
+        let internal = &shoot.measured.internal.parameters;
+        table.row([
+            set.name.to_owned(),
+            internal.opening.name().to_owned(),
+            shoot.measured.cell_share.map_or("-".to_owned(), |share| share.to_string()),
+            shoot.settings.imperfections.aperture_ratio.to_string(),
+            ratio(&camera.boards)?.to_string(),
+            relative(&errors, "F"),
+            relative(&errors, "d"),
+            worst_type(&errors),
+            distances.map_or("-".to_owned(), |found| percent(found.too_long.value, 3)),
+            relative(&of_discs, "F"),
+            worst_type(&of_discs),
+        ]);
+    }
+    Ok(vec![table.with(&seeds(&OPENINGS, SEED_OF_OPENINGS))])
 }
 
 const TILTED: [Set; 6] = [

@@ -9,7 +9,8 @@ use plenocal::detection::{
     BoardImage, DepthEstimator, DetectedBoards, MicroImages, Search, detect,
 };
 use plenocal::model::{
-    BapFeature, Board, BoardShape, Datasheet, FramePose, InternalParameters, Observations, Subset,
+    BapFeature, Board, BoardShape, Datasheet, FramePose, InternalParameters, Observations, Opening,
+    Subset,
 };
 use plenocal::precalibration::{Precalibration, PrecalibrationOptions, White, precalibrate};
 use plenocal::simulation::{DataSet, Settings, Shot};
@@ -34,13 +35,19 @@ fn white(settings: &Settings, name: String, shot: &Shot) -> Result<White> {
 impl Shoot {
     /// Takes the white images, and measures them.
     pub fn of(settings: Settings) -> Result<Self> {
+        Self::stated(settings, None)
+    }
+
+    /// Takes the white images, and measures them with this shape of the openings, if it is stated.
+    pub fn stated(settings: Settings, opening: Option<Opening>) -> Result<Self> {
         let data_set = DataSet::plan(&settings, None)?;
         let numbered = data_set.whites.iter().enumerate();
         let whites = numbered
             .map(|(i, shot)| white(&settings, format!("white {i}"), shot))
             .collect::<Result<Vec<White>>>()?;
         let reference = white(&settings, "devignetting".to_owned(), &data_set.devignetting)?;
-        let (sheet, board) = (settings.datasheet(), settings.target.board());
+        let sheet = Datasheet { opening, ..settings.datasheet() };
+        let board = settings.target.board();
         let options = PrecalibrationOptions::of_datasheet(&sheet);
         let measured = precalibrate(&whites, Some(&reference), &options, &|| ())?;
         Ok(Self { settings, sheet, board, measured, data_set, reference })
@@ -116,13 +123,21 @@ pub struct Calibrated {
 impl Calibrated {
     /// Takes the images of a camera, and calibrates it.
     pub fn of(settings: Settings, options: &CalibrationOptions) -> Result<Self> {
+        Self::of_shoot(Shoot::of(settings)?, options)
+    }
+
+    /// Calibrates the camera of white images.
+    pub fn of_shoot(shoot: Shoot, options: &CalibrationOptions) -> Result<Self> {
         let not_converged = || Error::invalid("the calibration has not converged");
-        Self::if_converged(settings, options)?.ok_or_else(not_converged)
+        Self::of_shoot_if_converged(shoot, options)?.ok_or_else(not_converged)
     }
 
     /// Takes the images of a camera, and calibrates it; `None` if the calibration does not converge.
     pub fn if_converged(settings: Settings, options: &CalibrationOptions) -> Result<Option<Self>> {
-        let shoot = Shoot::of(settings)?;
+        Self::of_shoot_if_converged(Shoot::of(settings)?, options)
+    }
+
+    fn of_shoot_if_converged(shoot: Shoot, options: &CalibrationOptions) -> Result<Option<Self>> {
         let boards = shoot.boards()?;
         let lattice = &shoot.measured.array.grid.lattice;
         let sheet = Datasheet { array_size: Some((lattice.columns, lattice.rows)), ..shoot.sheet };

@@ -133,6 +133,23 @@ impl Opening {
         }
     }
 
+    /// Maps a point of the unit disc into the opening, in units of half its width. The map preserves ratios of areas: it stretches
+    /// sectors of the disc to the triangles between the middle and a side.
+    #[must_use]
+    pub fn of_disc(self, place: &Vector2<f64>, normal_rad: f64) -> Vector2<f64> {
+        if self == Self::Disc {
+            return *place;
+        }
+        let half = PI / f64::from(self.sides());
+        let angle = place.y.atan2(place.x) - normal_rad;
+        let side = (angle / (2.0 * half)).round();
+        // From −1 to 1 along the side.
+        let along = angle / half - 2.0 * side;
+        let (sin, cos) = (normal_rad + 2.0 * half * side).sin_cos();
+        let along = along * half.tan();
+        Vector2::new(cos - along * sin, sin + along * cos) * place.norm()
+    }
+
     /// Returns the discs whose weighted sum is this shape averaged over all directions: radius over half the width, and
     /// weight.
     #[must_use]

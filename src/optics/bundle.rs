@@ -816,6 +816,40 @@ mod tests {
     }
 
     #[test]
+    fn exact_light_of_hexagons_and_squares() {
+        for (opening, rho, q, pupil, point_spread_px2) in [
+            (Opening::Hexagon, -3.4, -4.19, 20.0, 0.0),
+            (Opening::Hexagon, -4.2, -5.1, 6.48, 0.0),
+            (Opening::Hexagon, 2.0, 3.0, 6.5, 0.25),
+            (Opening::Square, -3.4, -4.19, 20.0, 0.0),
+            (Opening::Square, -3.4, -4.19, 6.48, 0.16),
+            (Opening::Square, 2.0, 3.0, 6.5, 0.0),
+        ] {
+            for distance in [1.0, 3.0, 5.0] {
+                let normal_rad = 0.2;
+                let oracle = Oracle {
+                    rho,
+                    q,
+                    pupil,
+                    point_spread_px2,
+                    opening,
+                    normal_rad,
+                    of_pixel: if point_spread_px2 > 0.0 { 12 } else { 8 },
+                    ..Oracle::default()
+                };
+                let [outwards, known, free, wider] = errors(&oracle, distance);
+                println!(
+                    "{opening:?} {rho} {distance}: {outwards:.4} px, {known:.4} {free:.4} {wider:.4} px²"
+                );
+                assert!(outwards.abs() < 0.005, "{outwards} px at {distance} for {opening:?}");
+                assert!(known.abs() < 0.0025, "{known} at {distance} for {opening:?}");
+                assert!(free.abs() < 0.0025, "{free} at {distance} for {opening:?}");
+                assert!(wider.abs() < 0.02, "{wider} px² at {distance} for {opening:?}");
+            }
+        }
+    }
+
+    #[test]
     fn light_with_a_point_spread_too() {
         for (rho, q, pupil, point_spread_px2, limit) in [
             (-4.2, -5.1, 6.48, 0.09, 0.004),

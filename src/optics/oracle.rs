@@ -3,6 +3,7 @@
 use nalgebra::Vector2;
 
 use super::{Bundle, CornerEdges, Obliquity};
+use crate::model::Opening;
 
 /// Reach of the summation over the point spread, in its standard deviations.
 const REACH: f64 = 4.5;
@@ -20,6 +21,9 @@ pub(crate) struct Oracle {
     pub point_spread_px2: f64,
     /// Part of H that the pixels add to cos⁴, px⁻².
     pub of_pixels_per_px2: f64,
+    /// Opening of the micro-lens, with the direction of the normal of a side, rad.
+    pub opening: Opening,
+    pub normal_rad: f64,
     /// Number of sample points in a pixel along an axis.
     pub of_pixel: i32,
     /// Square root of a third of the number of sample points on the micro-lens.
@@ -38,6 +42,8 @@ impl Default for Oracle {
             pupil: 6.48,
             point_spread_px2: 0.0,
             of_pixels_per_px2: 0.0,
+            opening: Opening::Disc,
+            normal_rad: 0.0,
             of_pixel: 8,
             rings: 11,
         }
@@ -57,7 +63,9 @@ impl Oracle {
 
     /// Returns the bundle with the same optics.
     pub fn bundle(&self) -> Bundle {
-        Bundle::new(self.rho, self.q, self.pupil, self.point_spread_px2).oblique(&self.law())
+        Bundle::new(self.rho, self.q, self.pupil, self.point_spread_px2)
+            .through(self.opening, self.normal_rad)
+            .oblique(&self.law())
     }
 
     /// Returns the white light of a pixel that sees the whole opening at normal incidence.
@@ -90,7 +98,7 @@ impl Oracle {
             let radius = ((f64::from(i) + 0.5) / f64::from(count)).sqrt();
             // The golden angle keeps points apart.
             let (sin, cos) = (f64::from(i) * 2.399_963_229_728_653).sin_cos();
-            Vector2::new(cos, sin) * radius
+            self.opening.of_disc(&(Vector2::new(cos, sin) * radius), self.normal_rad)
         };
         let lens: Vec<Vector2<f64>> = (0..count).map(on_lens).collect();
         let normals: Vec<[Vector2<f64>; 2]> = corners

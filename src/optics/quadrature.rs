@@ -17,7 +17,7 @@ use crate::model::Opening;
 /// Nodes at one distance from the middle: one in each direction given by their number and the direction of the first, as a
 /// part of the angle between them; their distance, and weight of each.
 type Ring = (usize, f64, f64, f64);
-/// Rings, variance of a node along an axis, and largest blur radius, px, for which edges are accurate to 0.25 %.
+/// Rings, variance of a node along an axis, and largest blur radius, px, for which edges are accurate to 0.3 %.
 type Design = (&'static [Ring], f64, f64);
 
 /// Directions of the first node of a ring: towards a side, towards a corner, and for a disc, where only the differences between
@@ -254,8 +254,8 @@ mod tests {
                 );
                 let of_radius = known.abs().max(free.abs()) * rho;
                 assert!(of_radius < 1.5e-3, "{known} {free} at {rho} px");
-                assert!(wider.abs() < 3e-3, "{wider} px² at {rho} px");
-                assert!(rms < 2.5e-3, "{rms} at {rho} px");
+                assert!(wider.abs() < 7e-3, "{wider} px² at {rho} px");
+                assert!(rms < 3e-3, "{rms} at {rho} px");
             }
         }
     }

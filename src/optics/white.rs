@@ -500,6 +500,29 @@ mod tests {
         }
     }
 
+    /// Compares with the sum over rays in many directions.
+    #[test]
+    fn white_light_of_polygons_is_the_mean_over_directions() {
+        for (opening, a, q) in [
+            (Opening::Hexagon, 5.7, -4.3),
+            (Opening::Square, 6.6, -2.6),
+            (Opening::Square, 2.3, -4.0),
+        ] {
+            let oracle =
+                Oracle { q, pupil: a, opening, of_pixel: 12, rings: 30, ..Oracle::default() };
+            let law = oracle.law();
+            let discs = WhiteDiscs { pupil_px: a, q_px: q, opening_px: HALF_PITCH, opening, law };
+            let [seen] = RadialPixels::new(0.0, 12.0).see(|t| [discs.light(t)]);
+            let of = |r: f64, turn: f64| oracle.of_pixel([r * turn.cos(), r * turn.sin()], &[]).0;
+            let mean = |r: f64| (0..40).map(|i| of(r, f64::from(i) * 0.157 + 0.01)).sum::<f64>();
+            let middle = mean(0.0) / seen.at(0.0);
+            for r in [1.6, 2.9, 4.5, 6.4, 8.1] {
+                let (found, expected) = (seen.at(r), mean(r) / middle);
+                assert!((found - expected).abs() < 5e-3, "{opening:?} {r}: {found} {expected}");
+            }
+        }
+    }
+
     /// Compares derivatives with differences, and the sensitivity with a sum over rays.
     #[test]
     fn derivatives_of_white_light() {

@@ -131,7 +131,12 @@ impl ReferenceRadius {
     ) -> Option<Self> {
         let (middle, pattern) = samples.middle_of(grey, pattern);
         let profile = profile_at((&middle, grey.floor()), &pattern, samples.nodes.first()?);
-        let fit = profile.fit(REACH * pattern.pitch(), geometry.point_spread_px2(), None)?;
+        let fit = profile.fit(
+            REACH * pattern.pitch(),
+            geometry.point_spread_px2(),
+            geometry.opening(),
+            None,
+        )?;
         Some(Self { radius_px: fit.outer, expected_px: geometry.radii(0) })
     }
 

@@ -66,6 +66,11 @@ impl DiscGeometry {
         self.point_spread_px2
     }
 
+    /// Returns the shape of the openings.
+    pub fn opening(&self) -> Opening {
+        self.opening
+    }
+
     /// Returns the radii a and b of the discs of pupil and blur, px.
     pub fn radii(&self, lens_type: usize) -> (f64, f64) {
         (self.pupil_px, self.q_px[lens_type].abs())

@@ -483,7 +483,13 @@ mod tests {
             |i: u32| Bin { radius: 0.125 * (f64::from(i) + 0.5), std_dev: 1e-4, ..Bin::default() };
         let mut profile = Profile { bins: (0..96).map(bin).collect(), ..Profile::default() };
         let law = Obliquity::in_the_middle(WITHIN, D_PX, PITCH_PX / 2.0);
-        let discs = WhiteDiscs { pupil_px: a, q_px: -b, opening_px: PITCH_PX / 2.0, law };
+        let discs = WhiteDiscs {
+            pupil_px: a,
+            q_px: -b,
+            opening_px: PITCH_PX / 2.0,
+            opening: Opening::Disc,
+            law,
+        };
         let [seen] = RadialPixels::new(spread, profile.furthest_px()).see(|t| [discs.light(t)]);
         for bin in &mut profile.bins {
             bin.light = 0.02 + 0.8 * seen.at(bin.radius);
@@ -519,6 +525,7 @@ mod tests {
             q_px: BLUR_PX.iter().map(|b| 0.02 - b).collect(),
             mla_to_sensor_px: D_PX,
             pitch_px: PITCH_PX,
+            opening: Opening::Disc,
             within: 1.8,
         };
         let profiles: Vec<Vec<&Profile>> = whites.iter().map(|of| of.iter().collect()).collect();

@@ -7,6 +7,7 @@
 
 use nalgebra::{Matrix2, Vector1, Vector2};
 
+use crate::model::Opening;
 use crate::numerics::{Descent, LeastSquares, NormalEquations};
 use crate::optics::{RadialPixels, Seen, WhiteDiscs};
 
@@ -79,6 +80,7 @@ pub(super) fn own_light_px(pitch_px: f64, outer_px: f64, spread_px: f64) -> f64 
 /// light of `fall_off`, which are discs of nearly the same size.
 struct Model<'a> {
     pixels: RadialPixels,
+    opening: Opening,
     fall_off: Option<&'a WhiteDiscs>,
 }
 
@@ -89,7 +91,8 @@ impl Model<'_> {
 
     /// Computes the light of two discs from the sum and the difference of their radii, px.
     fn light(&self, outer: f64, inner: f64) -> Seen {
-        let discs = WhiteDiscs::plain(f64::midpoint(outer, inner), (outer - inner) / 2.0);
+        let plain = WhiteDiscs::plain(f64::midpoint(outer, inner), (outer - inner) / 2.0);
+        let discs = WhiteDiscs { opening: self.opening, ..plain };
         let [light] = self.pixels.see(|t| [discs.light(t) * self.fall_off(t)]);
         light
     }
@@ -99,7 +102,9 @@ impl Profile {
     /// Returns true if the profile determines an edge, whose outer radius is at most 1.4 times `largest`, px.
     fn determines_an_edge(&self, largest: f64) -> bool {
         self.bins.len() >= FEWEST_BINS
-            && self.fit(largest, 0.0, None).is_some_and(|edge| edge.std_dev < DETERMINED_PX)
+            && self
+                .fit(largest, 0.0, Opening::Disc, None)
+                .is_some_and(|edge| edge.std_dev < DETERMINED_PX)
     }
 
     /// Returns the distance of the outermost light, px.
@@ -164,17 +169,18 @@ impl Profile {
         self.left(discs, raised).map(|(_, residuals)| residuals)
     }
 
-    /// Fits the radii of two discs to the light. Pixels have this point spread, px², and the outer radius is at most
+    /// Fits the radii of pupil and opening to the light. Pixels have this point spread, px², and the outer radius is at most
     /// 1.4 times `largest`, px. The light falls off like `fall_off`, discs of nearly the same size. Returns `None` if
     /// the profile does not show an edge.
     pub fn fit(
         &self,
         largest: f64,
         point_spread_px2: f64,
+        opening: Opening,
         fall_off: Option<&WhiteDiscs>,
     ) -> Option<Edge> {
         let pixels = RadialPixels::new(point_spread_px2, self.furthest_px());
-        let model = &Model { pixels, fall_off };
+        let model = &Model { pixels, opening, fall_off };
         // If much is clipped, the sum of squares has several valleys. So starts all over are tried first, on some of
         // the bins.
         let step = (self.bins.len() / COARSE).max(1);
@@ -399,7 +405,8 @@ mod tests {
     fn drawn(outer: f64, inner: f64, amplitude: f64) -> Profile {
         let mut histogram = RadialHistogram::new(14.0, 0.0);
         let seen =
-            Model { pixels: RadialPixels::new(0.0, 14.0), fall_off: None }.light(outer, inner);
+            Model { pixels: RadialPixels::new(0.0, 14.0), opening: Opening::Disc, fall_off: None }
+                .light(outer, inner);
         for i in 0..4000_i32 {
             let radius = 14.0 * (f64::from(i) + 0.5) / 4000.0;
             let light = (0.02 + amplitude * seen.at(radius)).min(1.0);
@@ -418,7 +425,7 @@ mod tests {
             bin.light -= 0.05 * bin.light * (1.0 - bin.light);
         }
         let pixels = RadialPixels::new(0.0, profile.furthest_px());
-        let model = Model { pixels, fall_off: None };
+        let model = Model { pixels, opening: Opening::Disc, fall_off: None };
         let ends: Vec<Edge> = [(6.2, 0.3), (6.2, 1.5), (7.4, 5.0), (7.8, 2.0)]
             .iter()
             .filter_map(|&(outer, inner)| Some(profile.descend(outer, inner, 12.0, &model)?.0))
@@ -436,12 +443,13 @@ mod tests {
         let (outer, inner, spread) = (11.6, 1.4, 1.0);
         let mut profile = drawn(outer, inner, 3.0);
         let pixels = RadialPixels::new(spread, PITCH);
-        let seen = Model { pixels, fall_off: None }.light(outer, inner);
+        let seen = Model { pixels, opening: Opening::Disc, fall_off: None }.light(outer, inner);
         for bin in profile.bins.iter_mut().chain(&mut profile.bright) {
             bin.light = 0.02 + 3.0 * (seen.at(bin.radius) + seen.at(PITCH - bin.radius) / 3.0);
         }
         let off = |reach: f64| {
-            (profile.whole(reach).fit(12.0, spread, None).unwrap().outer - outer).abs()
+            (profile.whole(reach).fit(12.0, spread, Opening::Disc, None).unwrap().outer - outer)
+                .abs()
         };
         let (own, all) = (off(own_light_px(PITCH, outer, 1.0)), off(f64::INFINITY));
         assert!(own < 0.05 && all > 0.2, "off by {own} px, and by {all} px with all light");
@@ -451,7 +459,8 @@ mod tests {
     fn the_outer_radius_comes_back_at_any_exposure() {
         for amplitude in [0.3, 0.8, 1.5, 3.0, 6.0] {
             for (outer, inner) in [(11.66, 1.1), (8.4, 1.7), (6.8, 3.7), (10.0, 0.0)] {
-                let edge = drawn(outer, inner, amplitude).fit(12.0, 0.0, None).unwrap();
+                let edge =
+                    drawn(outer, inner, amplitude).fit(12.0, 0.0, Opening::Disc, None).unwrap();
                 let off = (edge.outer - outer).abs();
                 assert!(off < 0.02, "{outer}, {inner} px at {amplitude}: off by {off} px");
             }
@@ -463,14 +472,14 @@ mod tests {
     fn starts_are_selected_on_more_than_a_few_bins() {
         for (largest, outer, inner) in [(7.8, 9.0, 4.0), (7.8, 10.0, 3.0), (12.1, 9.0, 5.5)] {
             let pixels = RadialPixels::new(0.0, 14.0);
-            let seen = Model { pixels, fall_off: None }.light(outer, inner);
+            let seen = Model { pixels, opening: Opening::Disc, fall_off: None }.light(outer, inner);
             let amplitude = 0.47 / seen.at(6.94);
             let bin = |i: u32| {
                 let radius = 6.94 + BIN_PX * f64::from(i);
                 Bin { radius, light: 0.02 + amplitude * seen.at(radius), std_dev: 0.003 }
             };
             let profile = Profile { bins: (0..8).map(bin).collect(), ..Profile::default() };
-            let edge = profile.fit(largest, 0.0, None).unwrap();
+            let edge = profile.fit(largest, 0.0, Opening::Disc, None).unwrap();
             assert!((edge.outer - outer).abs() < 1e-6, "{edge:?}");
         }
     }
@@ -479,7 +488,9 @@ mod tests {
     #[test]
     fn noise_at_black_leaves_an_edge() {
         let mut histogram = RadialHistogram::new(12.1, 0.0);
-        let seen = Model { pixels: RadialPixels::new(0.0, 12.1), fall_off: None }.light(6.3, 2.5);
+        let seen =
+            Model { pixels: RadialPixels::new(0.0, 12.1), opening: Opening::Disc, fall_off: None }
+                .light(6.3, 2.5);
         let mut random = 1_u32;
         for i in 0..40_000_i32 {
             let radius = 12.1 * (f64::from(i % 4000) + 0.5) / 4000.0;
@@ -493,7 +504,7 @@ mod tests {
             histogram.add(radius, (light * 255.0).round() / 255.0);
         }
         let clean = histogram.bins_with(BLACK).bins.len();
-        let edge = histogram.profile().fit(12.1, 0.0, None).unwrap();
+        let edge = histogram.profile().fit(12.1, 0.0, Opening::Disc, None).unwrap();
         assert!(clean < FEWEST_BINS, "{clean} bins");
         assert!((edge.outer - 6.3).abs() < 0.6, "{edge:?}");
     }

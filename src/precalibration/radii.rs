@@ -9,6 +9,7 @@ use super::centroid::{Blob, darkest_neighbourhood, measure_blob, pixels_about};
 use super::pattern::Pattern;
 use super::profile::{Edge, Profile, RadialHistogram};
 use crate::image::Image;
+use crate::model::Opening;
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight, median};
 use crate::optics::{RadialPixels, Seen, WhiteDiscs};
 
@@ -42,7 +43,8 @@ impl TypeRadius {
     pub fn oblique(&self, discs: &WhiteDiscs, reach_px: f64, point_spread_px2: f64) -> Self {
         let mut again = self.clone();
         let largest = REACH * 2.0 * discs.law.half_pitch_px;
-        if let Some(edge) = self.profile.whole(reach_px).fit(largest, point_spread_px2, Some(discs))
+        if let Some(edge) =
+            self.profile.whole(reach_px).fit(largest, point_spread_px2, discs.opening, Some(discs))
         {
             let change = edge.outer - self.radius_px;
             again.radius_px += change;
@@ -160,7 +162,7 @@ fn profile_radius(
     profile: Profile,
 ) -> Option<TypeRadius> {
     let reach = REACH * pattern.pitch();
-    let edge = profile.fit(reach, 0.0, None)?;
+    let edge = profile.fit(reach, 0.0, Opening::Disc, None)?;
     let template = Template::new(&edge, reach);
     let single_px: Vec<f64> =
         blobs.iter().filter_map(|blob| template.single(image, blob)).collect();

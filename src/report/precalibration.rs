@@ -1,9 +1,9 @@
 //! The report of a pre-calibration.
 
 use super::tree::{Cell, Column, Figure, Part, Section, Table};
-use crate::model::full_scale;
+use crate::model::{Opening, full_scale};
 use crate::precalibration::{ArrayMeasurement, LensTypes, Precalibration};
-use crate::quantity::{fixed_signed, significant};
+use crate::quantity::{Estimate, fixed_signed, significant};
 
 /// Returns array, lens types, radii, internal parameters, and figures.
 #[must_use]
@@ -15,6 +15,7 @@ pub fn precalibration_section(result: &Precalibration, figures: Vec<Figure>) -> 
     )));
     parts.push(Part::Text(types_text(&result.lens_types)));
     parts.extend(levels_text(result).map(Part::Text));
+    parts.push(Part::Text(opening_text(result)));
     parts.push(Part::Table(internal_table(result)));
     parts.push(Part::details("Radii by f-number", vec![Part::Table(radii_table(result))]));
     parts.extend(figures.into_iter().map(Part::Figure));
@@ -38,6 +39,21 @@ fn levels_text(result: &Precalibration) -> Option<String> {
     });
     let parts: Vec<String> = black.into_iter().chain(full).collect();
     (!parts.is_empty()).then(|| parts.join(" "))
+}
+
+/// Returns a sentence on the shape of the openings.
+fn opening_text(result: &Precalibration) -> String {
+    let cell = Opening::cell(result.array.grid.lattice.kind()).name();
+    let evidence = result.cell_share.map_or(
+        "assumed, since micro-images are too large or too small to show it".to_owned(),
+        |Estimate { value, std_dev }| {
+            format!("cell share {value:.2} ± {std_dev:.2}, 0 for a disc and 1 for a {cell}")
+        },
+    );
+    format!(
+        "Opening of the micro-lenses: {} ({evidence}).",
+        result.internal.parameters.opening.name()
+    )
 }
 
 /// Returns a text on the lens types.

@@ -5,7 +5,6 @@
 
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector2, Vector3};
 
-use super::imperfections::Imperfections;
 use crate::model::{Opening, PlenopticCamera};
 
 /// One micro-lens.
@@ -58,9 +57,8 @@ pub(super) struct MicroLenses {
 }
 
 impl MicroLenses {
-    /// Creates the array with the openings of its imperfections.
-    pub fn new(camera: &PlenopticCamera, imperfections: &Imperfections) -> Self {
-        let Imperfections { aperture_ratio, opening, .. } = *imperfections;
+    /// Creates the array with openings whose width is `aperture_ratio` times the pitch.
+    pub fn new(camera: &PlenopticCamera, opening: Opening, aperture_ratio: f64) -> Self {
         let mla = &camera.mla;
         let normal_rad = Opening::normal_rad(camera.lattice.kind(), 0.0);
         let opening_radius = aperture_ratio * mla.pitch_mm * mla.pitch_ratio.sqrt() / 2.0;

@@ -60,7 +60,7 @@ macro_rules! with_lens {
 /// The further in front of the lens the exit pupil lies, the wider is the light of an f-number at the array. With the
 /// f-numbers below, micro-images touch, as they do at f/4 with an exit pupil in the principal plane. The triplet is
 /// corrected for f/4.5 only.
-pub const PRESETS: [Preset; 22] = [
+pub const PRESETS: [Preset; 23] = [
     file!("mini"),
     file!("r12-a"),
     file!("r12-b"),
@@ -85,6 +85,7 @@ pub const PRESETS: [Preset; 22] = [
     ),
     file!("real-a"),
     file!("real-b"),
+    file!("real-c"),
     with_lens!("mini", "petzval"),
     with_lens!("mini", "triplet", f / 4.5),
     with_lens!("mini", "tessar"),

@@ -128,8 +128,9 @@ impl RaySets {
     pub fn through(mut self, opening: Opening, normal_rad: f64) -> Self {
         for block in self.sets.iter_mut().flatten() {
             for i in 0..BLOCK {
-                let [x, y] = in_opening(opening, normal_rad, [block.disc[0][i], block.disc[1][i]]);
-                (block.opening[0][i], block.opening[1][i]) = (x, y);
+                let disc = Vector2::new(block.disc[0][i], block.disc[1][i]);
+                let place = opening.of_disc(&disc, normal_rad) / opening.reach();
+                (block.opening[0][i], block.opening[1][i]) = (place.x, place.y);
             }
         }
         self
@@ -193,23 +194,6 @@ fn disc(x: f64, y: f64) -> [f64; 2] {
         (y, 2.0 * eighth - eighth * x / y)
     };
     [radius * angle.cos(), radius * angle.sin()]
-}
-
-/// Maps the unit disc onto an opening within the unit circle. The map preserves ratios of areas: it stretches the sectors of
-/// the disc to the triangles between the middle and a side.
-fn in_opening(opening: Opening, normal_rad: f64, [x, y]: [f64; 2]) -> [f64; 2] {
-    if opening == Opening::Disc {
-        return [x, y];
-    }
-    let half = std::f64::consts::PI / f64::from(opening.sides());
-    let side = ((y.atan2(x) - normal_rad) / (2.0 * half)).round();
-    let normal = normal_rad + 2.0 * half * side;
-    // From −1 to 1 along the side.
-    let angle = y.atan2(x) - normal;
-    let along = half.tan() * angle / half;
-    let (sin, cos) = normal.sin_cos();
-    let radius = x.hypot(y) / opening.reach();
-    [radius * (cos - along * sin), radius * (sin + along * cos)]
 }
 
 /// Mixes several numbers into one (the finaliser of SplitMix64, chained).

@@ -68,7 +68,8 @@ impl Tracer {
             ));
         }
         let (focal_length, mla) = (camera.main_lens.focal_length_mm, &camera.mla);
-        let mut array = MicroLenses::new(camera, imperfections);
+        let mut array =
+            MicroLenses::new(camera, imperfections.opening, imperfections.aperture_ratio);
         imperfections.kill(&mut array.lenses, seed);
         let tracer = Self {
             sensor: camera.sensor,

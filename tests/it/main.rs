@@ -25,6 +25,7 @@ mod manners;
 mod micro_images;
 mod models;
 mod modes;
+mod openings;
 mod oracle;
 mod own_programs;
 mod precalibrate;

@@ -2,7 +2,7 @@
 
 use plenocal::calibration::{Calibration, Start, calibrate};
 use plenocal::image::Image;
-use plenocal::model::{BapFeature, FramePose, NoiseSource, Observations, optics};
+use plenocal::model::{BapFeature, FramePose, NoiseSource, Observations, Opening, optics};
 use plenocal::simulation::{
     DataSet, FallOffLaw, Imperfections, PRESETS, Scene, SecondStop, Settings, simulate,
 };
@@ -222,6 +222,20 @@ fn the_aperture_ratio_scales_the_light_by_its_square() {
     let stopped = Imperfections { aperture_ratio: 0.8, ..Imperfections::default() };
     let part = scaled(stopped) / scaled(Imperfections::default());
     assert!((part / 0.64 - 1.0).abs() < 0.02, "0.8² of the light: {part}");
+}
+
+/// A hexagon has 2√3/π of the area of its inscribed disc.
+#[test]
+fn a_hexagonal_opening_has_the_light_of_its_area() {
+    let scaled = |imperfections: Imperfections| {
+        let reference = imperfect(imperfections).tracer(4.0).unwrap().reference_irradiance();
+        light(&white(imperfections)) * reference
+    };
+    // Smaller ones keep micro-images apart.
+    let disc = Imperfections { aperture_ratio: 0.8, ..Imperfections::default() };
+    let hexagon = Imperfections { opening: Opening::Hexagon, ..disc };
+    let part = scaled(hexagon) / scaled(disc);
+    assert!((part / (12.0_f64.sqrt() / std::f64::consts::PI) - 1.0).abs() < 0.01, "{part}");
 }
 
 /// Specks with radii from 1.25 to 5 px cover 34 px on average, some of which are dark anyway.
