@@ -60,6 +60,7 @@ const HELP: &str = "\
 Names of files and folders:
   white images   white*, or an f-number alone: whites/white-n-4.00.png, flat_f4.0.png, N8.tif
   devignetting   devignetting*, vignetting*
+  dark image     dark, darks, darkframe
   calibration    calib*, board*, check*, chess*
   evaluation     eval*
   translation    translation*, step*
@@ -174,6 +175,7 @@ fn summary(draft: &ProjectDraft, drafted: &DraftText, color_is_stated: bool, out
     for (count, noun, purpose) in [
         (images.whites.len(), "white image", ""),
         (images.devignetting.len(), "devignetting image", ""),
+        (images.dark.len(), "dark image", ""),
         (images.calibration.len(), "board", " for calibration"),
         (images.evaluation.len(), "board", " for evaluation"),
         (images.translation.len(), "image", " of a translation"),

@@ -46,6 +46,8 @@ pub struct SortedImages {
     pub whites: Vec<(PathBuf, Option<NamedFNumber>)>,
     /// White images in the light of the boards; a project uses one.
     pub devignetting: Vec<PathBuf>,
+    /// Images without light; a project uses one.
+    pub dark: Vec<PathBuf>,
     /// Boards of the calibration.
     pub calibration: Vec<PathBuf>,
     /// Boards of the evaluation.
@@ -88,6 +90,7 @@ const NAMED: usize = 8;
 enum Kind {
     White,
     Devignetting,
+    Dark,
     Calibration,
     Evaluation,
     Translation,
@@ -128,6 +131,7 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
             Ok(found) => match found.or_else(only_stop) {
                 Some(Kind::White) => sorted.whites.push((path, f_number)),
                 Some(Kind::Devignetting) => sorted.devignetting.push(path),
+                Some(Kind::Dark) => sorted.dark.push(path),
                 Some(Kind::Calibration) => sorted.calibration.push(path),
                 Some(Kind::Evaluation) => sorted.evaluation.push(path),
                 Some(Kind::Translation) => sorted.translation.push(path),
@@ -205,7 +209,7 @@ struct Contradiction;
 fn kind(name: &str) -> std::result::Result<Option<Kind>, Contradiction> {
     let of_parts = |of_part: fn(&str) -> Option<Kind>| name.rsplit('/').filter_map(of_part);
     let clear: Vec<Kind> = of_parts(clear_kind).collect();
-    let is_board = |kind: &Kind| !matches!(kind, Kind::White | Kind::Devignetting);
+    let is_board = |kind: &Kind| !matches!(kind, Kind::White | Kind::Devignetting | Kind::Dark);
     if let [first, rest @ ..] = clear.as_slice() {
         let contradicted = rest.iter().any(|kind| is_board(kind) && kind != first);
         return if is_board(first) && contradicted { Err(Contradiction) } else { Ok(Some(*first)) };
@@ -225,10 +229,17 @@ fn clear_kind(part: &str) -> Option<Kind> {
         ("calib", Kind::Calibration),
         ("translation", Kind::Translation),
     ];
+    const DARK: [&str; 4] = ["dark", "darks", "darkframe", "darkframes"];
     const BEGINNING: [(&str, Kind); 2] = [("eval", Kind::Evaluation), ("step", Kind::Translation)];
     let contained = CONTAINED.iter().find(|(word, _)| part.contains(word));
     let begun = || BEGINNING.iter().find(|(start, _)| words(part).any(|w| w.starts_with(start)));
-    contained.or_else(begun).map(|&(_, kind)| kind)
+    let is_dark = unclear_kind(part).is_none() && words(part).any(|word| DARK.contains(&word));
+    let dark = is_dark.then_some(Kind::Dark);
+    match contained.or_else(begun).map(|&(_, kind)| kind) {
+        // A dark image may name the images that it belongs to.
+        Some(Kind::White | Kind::Devignetting) | None if dark.is_some() => dark,
+        kind => kind,
+    }
 }
 
 fn unclear_kind(part: &str) -> Option<Kind> {
@@ -273,7 +284,7 @@ impl SortedImages {
     pub fn sorted(&self) -> impl Iterator<Item = &Path> {
         let whites = self.whites.iter().map(|(path, _)| path);
         let boards = self.calibration.iter().chain(&self.evaluation).chain(&self.translation);
-        whites.chain(&self.devignetting).chain(boards).map(PathBuf::as_path)
+        whites.chain(&self.devignetting).chain(&self.dark).chain(boards).map(PathBuf::as_path)
     }
 
     /// Returns size and channels of the sorted images; `None` if there are none. An error names the images that differ in size
@@ -353,6 +364,11 @@ mod tests {
             ("whites/devignetting", Some(Kind::Devignetting)),
             ("calib_03", Some(Kind::Calibration)),
             ("boards/7", Some(Kind::Calibration)),
+            ("white-f4-dark", Some(Kind::Dark)),
+            ("darks/white-f4", Some(Kind::White)),
+            ("dark/03", Some(Kind::Dark)),
+            ("board-dark-03", Some(Kind::Calibration)),
+            ("darkroom", None),
             ("evaluation/board-02", Some(Kind::Evaluation)),
             ("eval03", Some(Kind::Evaluation)),
             ("medieval", None),

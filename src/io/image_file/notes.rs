@@ -7,7 +7,7 @@ use flate2::read::ZlibDecoder;
 use rayon::prelude::*;
 
 use super::tags::{Tags, tag};
-use super::{icc, jpeg, png, tiff};
+use super::{Pages, icc, jpeg, png, tiff};
 use crate::finding::{Finding, Issue};
 use crate::io::open;
 
@@ -36,14 +36,19 @@ struct Notes {
     pages: usize,
 }
 
-/// Returns findings about image files that declare samples that are not linear in light, an orientation, or several pages. None
-/// of these is applied: samples and pixels are used as stored. A file that cannot be read gives no finding here, since reading
-/// it reports the reason.
-#[must_use]
-pub fn image_findings<P: AsRef<Path> + Sync>(images: &[P]) -> Vec<Finding> {
+/// Returns findings about the declarations of image files, and about the pages that are read; all pages of a dark image are.
+pub fn image_findings(
+    images: &[&Path],
+    pages: Pages,
+    is_dark: &(dyn Fn(&Path) -> bool + Sync),
+) -> Vec<Finding> {
     let notes: Vec<(String, Notes)> = images
         .par_iter()
-        .map(|path| (name(path.as_ref()), notes_of(path.as_ref()).unwrap_or_default()))
+        .map(|path| {
+            let notes = notes_of(path).unwrap_or_default();
+            let pages = if is_dark(path) { 1 } else { notes.pages };
+            (name(path), Notes { pages, ..notes })
+        })
         .collect();
     let of_curve = |(name, notes): &(String, Notes)| {
         notes.curve.clone().map(|profile| (name.clone(), profile))
@@ -63,9 +68,14 @@ pub fn image_findings<P: AsRef<Path> + Sync>(images: &[P]) -> Vec<Finding> {
             first,
             orientation,
         }),
-        several.map(|(images, first, pages)| Issue::SeveralPages { images, first, pages }),
     ];
-    issues.into_iter().flatten().map(Finding::caution).collect()
+    let several = several.map(|(images, first, count)| match pages {
+        Pages::First => Finding::caution(Issue::SeveralPages { images, first, pages: count }),
+        _ => {
+            Finding::note(Issue::PagesUsed { images, first, pages: count, used: pages.to_string() })
+        }
+    });
+    issues.into_iter().flatten().map(Finding::caution).chain(several).collect()
 }
 
 /// Returns the number of items, and the first one.
@@ -90,13 +100,9 @@ fn notes_of(path: &Path) -> io::Result<Notes> {
 }
 
 fn of_tiff(mut tags: Tags<impl Read + Seek>) -> Notes {
-    let pages = tags.pages();
-    let mut is_image = |page: &super::tags::Page| {
-        let kind = page.entry(tag::SUBFILE_TYPE).and_then(|entry| tags.value(entry));
-        kind.unwrap_or(0) & (tiff::REDUCED | tiff::MASK) == 0
-    };
-    let count = pages.iter().filter(|page| is_image(page)).count();
-    let entry = |number: u16| pages.first().and_then(|page| page.entry(number));
+    let count = tiff::pages(&mut tags).len();
+    let first = tags.first();
+    let entry = |number: u16| first.as_ref().and_then(|page| page.entry(number));
     let profile = entry(tag::ICC_PROFILE).and_then(|entry| tags.content(entry));
     let orientation = entry(tag::ORIENTATION).and_then(|entry| tags.value(entry));
     Notes {
