@@ -298,6 +298,10 @@ issues! {
     ImageOrientation "image-orientation" { images: usize, first: String, orientation: u64 } =>
         format!("{} with an orientation tag (first: {first}, orientation {orientation}); the pixels are used as stored", counted(*images, "image file")),
         "save all white images and boards in the orientation of the sensor, and do not rotate them with other software";
+    /// Image files of one set have different orientation tags: number and name of the first for each orientation.
+    OrientationsDiffer "image-orientations-differ" { groups: Vec<(u64, usize, String)> } =>
+        format!("the images have different orientation tags ({}); the pixels are used as stored", orientations(groups)),
+        "save all white images and boards in the orientation of the sensor: software may have rotated the pixels of some of them";
     /// TIFF files have several pages.
     SeveralPages "several-pages" { images: usize, first: String, pages: usize } =>
         format!("{} with several pages (first: {first}, {pages} pages); only the first page is read", counted(*images, "TIFF file")),
@@ -868,6 +872,14 @@ fn step_scale_text(ratio: f64, step_mm: f64, square_mm: f64) -> String {
         square_mm / ratio,
         step_mm * ratio
     )
+}
+
+/// Lists the orientations of images.
+fn orientations(groups: &[(u64, usize, String)]) -> String {
+    let of = |(orientation, images, first): &(u64, usize, String)| {
+        format!("orientation {orientation}: {}, first {first}", counted(*images, "image"))
+    };
+    groups.iter().map(of).collect::<Vec<_>>().join("; ")
 }
 
 fn maker_values_text(distortion: Option<&str>, rotation_rad: f64) -> String {

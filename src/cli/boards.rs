@@ -47,7 +47,7 @@ impl Shoot {
         check_configuration(&sheet).map_err(|e| e.in_file(path))?;
         let images = listed_images(path, project, "calibration = [...]")?;
         board.validate().and_then(|()| check_board_size(&board)).map_err(|e| e.in_file(path))?;
-        let reader = images.reader()?;
+        let reader = images.reader(&sheet.sensor)?;
         Ok(Self { sheet, board, images, reader })
     }
 

@@ -23,7 +23,7 @@ use super::simulate::preset_names;
 #[derive(Args)]
 #[command(after_help = HELP, allow_negative_numbers = true)]
 pub struct Arguments {
-    /// Folder with the images (PNG, TIFF, BMP, PGM, JPEG), searched with all its subfolders.
+    /// Folder with the images (PNG, TIFF, BMP, PGM, JPEG, or .raw without a header), searched with all its subfolders.
     images: PathBuf,
     /// Project file to write.
     #[arg(long, value_name = "FILE")]
@@ -161,7 +161,7 @@ fn found_color(images: &SortedImages, format: Option<CommonFormat>) -> Result<Op
         known => return Ok(known),
     }
     let whites = images.whites.iter().map(|(path, _)| path);
-    for path in images.devignetting.iter().chain(whites) {
+    for path in images.devignetting.iter().chain(whites).filter(|path| !io::is_raw(path)) {
         if let Some(mosaic) = io::read_image(path, Some(Color::Grey))?.shows_mosaic() {
             return Ok((!mosaic).then_some(Color::Grey));
         }

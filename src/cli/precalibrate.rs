@@ -205,7 +205,7 @@ fn of_project(
     let project = Project::read(path)?;
     let sheet = camera_of(path, &project)?;
     let images = listed_images(path, &project, "[[images.whites]]")?;
-    let reader = images.reader()?;
+    let reader = images.reader(&sheet.sensor)?;
     let options = PrecalibrationOptions {
         estimator: arguments.estimator.unwrap_or_default(),
         black_level: reader.black_level(),

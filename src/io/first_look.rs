@@ -109,6 +109,7 @@ mod tests {
             black_level: None,
             pages: Pages::First,
             dark: None,
+            raw: None,
             whites: whites.iter().map(white).collect(),
             devignetting: None,
             calibration: calibration.to_vec(),

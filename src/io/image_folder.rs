@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::image_file::format_of;
+use super::image_file::{format_of, is_raw, not_read};
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::optics;
@@ -72,7 +72,8 @@ pub struct CommonFormat {
     pub channels: Option<Color>,
 }
 
-const ENDINGS: [&str; 9] = ["png", "tif", "tiff", "bmp", "pgm", "ppm", "pnm", "jpg", "jpeg"];
+const ENDINGS: [&str; 10] =
+    ["png", "tif", "tiff", "bmp", "pgm", "ppm", "pnm", "jpg", "jpeg", "raw"];
 /// F-numbers of full stops and thirds of stops, as engraved on lenses.
 #[rustfmt::skip]
 const ENGRAVED: [f64; 35] = [
@@ -96,7 +97,7 @@ enum Kind {
     Translation,
 }
 
-/// Finds PNG, TIFF, BMP, PGM/PPM and JPEG files in a folder and its subfolders, and sorts them by their paths in the folder.
+/// Finds PNG, TIFF, BMP, PGM/PPM and JPEG files, and `.raw` files without a header, in a folder and its subfolders, and sorts them by their paths in the folder.
 /// Hidden files are skipped. Broken links, pipes, and names that a project file cannot contain are skipped and listed.
 ///
 /// An error if there are no images.
@@ -111,11 +112,16 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
         }
     }
     if files.is_empty() {
-        return Err(Error::content(
-            folder,
-            "there are no images in this folder: give a folder with PNG, TIFF, BMP, PGM or JPEG \
+        let first = skipped.first().map(|(path, reason)| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            format!(" ({name}, for example, is skipped: {reason})")
+        });
+        let message = format!(
+            "there are no images in this folder{}: give a folder with PNG, TIFF, BMP, PGM or JPEG \
              files",
-        ));
+            first.unwrap_or_default()
+        );
+        return Err(Error::content(folder, message));
     }
     let below =
         |path: &Path| path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
@@ -152,7 +158,8 @@ fn unusable(path: &Path, folder: &Path) -> Option<&'static str> {
         return Some("it is a pipe or a device");
     }
     let below = path.strip_prefix(folder).unwrap_or(path);
-    below.to_str().is_none().then_some("its name is not UTF-8: rename it")
+    let rename = || below.to_str().is_none().then_some("its name is not UTF-8: rename it");
+    not_read(path).or_else(rename)
 }
 
 fn images_in(folder: &Path, seen: &mut HashSet<PathBuf>, images: &mut Vec<PathBuf>) -> Result<()> {
@@ -170,7 +177,8 @@ fn images_in(folder: &Path, seen: &mut HashSet<PathBuf>, images: &mut Vec<PathBu
         }
         if path.is_dir() {
             images_in(&path, seen, images)?;
-        } else if ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) {
+        } else if ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) || not_read(&path).is_some()
+        {
             images.push(path);
         }
     }
@@ -287,10 +295,16 @@ impl SortedImages {
         whites.chain(&self.devignetting).chain(&self.dark).chain(boards).map(PathBuf::as_path)
     }
 
-    /// Returns size and channels of the sorted images; `None` if there are none. An error names the images that differ in size
+    /// Returns true if some images are files without a header.
+    pub fn has_raw(&self) -> bool {
+        self.sorted().any(is_raw)
+    }
+
+    /// Returns size and channels of the sorted images with a header; `None` if there are none. An error names the images that differ in size
     /// from most.
     pub fn common_format(&self) -> Result<Option<CommonFormat>> {
-        let formats = self.sorted().map(|path| Ok((path, format_of(path)?)));
+        let with_header = self.sorted().filter(|path| !is_raw(path));
+        let formats = with_header.map(|path| Ok((path, format_of(path)?)));
         let formats = formats.collect::<Result<Vec<(&Path, (u32, u32, Color))>>>()?;
         let size = |&(_, (width, height, _)): &(&Path, (u32, u32, Color))| (width, height);
         let alike = |this| formats.iter().filter(|format| size(format) == this).count();

@@ -236,6 +236,13 @@ impl ProjectDraft<'_> {
         for name in &unsorted {
             draft.line(&format!("#   {name},"));
         }
+        if images.has_raw() {
+            draft.table("images.raw", "layout of the .raw files, which have no header");
+            let what = "\"Mono12p\", \"Mono12Packed\", \"raw12\", \"Mono16\", ...";
+            draft.value("images.raw", "packing", None, what);
+            draft.commented("# header_bytes = ...", "bytes before the first row, if there are any");
+            draft.commented("# row_bytes = ...", "bytes from row to row, if rows are padded");
+        }
         for (path, f_number) in &images.whites {
             let image = name(path)?;
             draft.line("\n[[images.whites]]");

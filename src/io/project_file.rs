@@ -6,7 +6,7 @@ use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer};
 use toml::{Table, Value};
 
-use super::image_file::{ImageReader, Pages};
+use super::image_file::{ImageReader, Pages, RawLayout};
 use super::project_draft::FILL_IN;
 use super::read_text;
 use super::spelling::plain;
@@ -131,6 +131,8 @@ pub struct ImagesSection {
     pub pages: Pages,
     /// Image without light, which is subtracted from all others; its pages are averaged.
     pub dark: Option<PathBuf>,
+    /// Layout of `.raw` and `.bin` files, which have no header. They have the size of the sensor.
+    pub raw: Option<RawLayout>,
     /// White images for the pre-calibration.
     #[serde(default)]
     pub whites: Vec<WhiteImage>,
@@ -156,9 +158,10 @@ impl ImagesSection {
         whites.chain(boards).map(PathBuf::as_path)
     }
 
-    /// Returns the reader of the images, and reads their dark image.
-    pub fn reader(&self) -> Result<ImageReader> {
+    /// Returns the reader of the images of this sensor, and reads their dark image.
+    pub fn reader(&self, sensor: &Sensor) -> Result<ImageReader> {
         let reader = ImageReader::of_color(Some(self.color)).with_pages(self.pages);
+        let reader = reader.with_raw(self.raw, (sensor.width_px, sensor.height_px));
         let reader = reader.with_black_level(self.black_level);
         match (&self.dark, self.files().find(|path| Some(*path) != self.dark.as_deref())) {
             (Some(dark), Some(first)) => reader.with_dark(dark, first),

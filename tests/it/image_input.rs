@@ -6,11 +6,14 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use plenocal::image::{Color, RawImage, Samples};
-use plenocal::io::{ImageReader, Pages, read_features, read_internal_parameters, write_png};
+use plenocal::io::{
+    ImageReader, Packing, Pages, RawLayout, read_features, read_internal_parameters, write_png,
+};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use tempfile::TempDir;
 use tiff::encoder::{TiffEncoder, colortype};
+use tiff::tags::Tag;
 
 use crate::prepared::Files;
 use crate::support::plenocal;
@@ -364,4 +367,205 @@ fn pages_are_stated_in_the_project_or_for_a_single_image() {
     let mut project = plenocal();
     project.arg("precalibrate").arg(&average).args(["--pages", "2", "--out"]).arg(&out);
     project.assert().code(1).stderr(contains("--pages is for a single image"));
+}
+
+/// A reader of files without a header, of 6 x 2 px.
+fn raw(packing: Packing, header_bytes: u64, row_bytes: Option<u64>) -> ImageReader {
+    let layout = RawLayout { packing, header_bytes, row_bytes };
+    ImageReader::of_color(None).with_raw(Some(layout), (6, 2))
+}
+
+/// Samples one after the other from the lowest bit of the first byte on.
+fn consecutive(samples: &[u16], bits: usize) -> Vec<u8> {
+    let mut bytes = vec![0; (samples.len() * bits).div_ceil(8)];
+    for (i, sample) in samples.iter().enumerate() {
+        for bit in (0..bits).filter(|bit| sample >> bit & 1 == 1) {
+            bytes[(i * bits + bit) / 8] |= 1 << ((i * bits + bit) % 8);
+        }
+    }
+    bytes
+}
+
+const TEN: [u16; 12] = [0, 1023, 1, 512, 341, 682, 3, 768, 500, 77, 1022, 255];
+
+#[test]
+fn packed_samples_are_read_in_every_stated_layout() {
+    let twelve = TEN.map(|sample| 4 * sample + sample % 4);
+    let upper = |sample: u16, bits: u32| u8::try_from(sample >> (bits - 8)).unwrap();
+    let low = |sample: u16, mask: u16| u8::try_from(sample & mask).unwrap();
+    let pairs = |all: &[u16], bits: u32, shift: u32| -> Vec<u8> {
+        let mask = (1 << (bits - 8)) - 1;
+        let of = |p: &[u16]| {
+            let lower = low(p[0], mask) | low(p[1], mask) << shift;
+            [upper(p[0], bits), lower, upper(p[1], bits)]
+        };
+        all.chunks(2).flat_map(of).collect()
+    };
+    let mipi_10 = |p: &[u16]| {
+        let lower = (0..4).fold(0, |byte, i| byte | low(p[i], 3) << (2 * i));
+        [0, 1, 2, 3].map(|i| upper(p[i], 10)).into_iter().chain([lower])
+    };
+    let mipi_12 =
+        |p: &[u16]| [upper(p[0], 12), upper(p[1], 12), low(p[0], 15) | low(p[1], 15) << 4];
+    for (packing, bytes, expected) in [
+        (Packing::Mono10p, consecutive(&TEN, 10), TEN),
+        (Packing::Mono12p, consecutive(&twelve, 12), twelve),
+        (Packing::Mono10Packed, pairs(&TEN, 10, 4), TEN),
+        (Packing::Mono12Packed, pairs(&twelve, 12, 4), twelve),
+        (Packing::Raw10, TEN.chunks(4).flat_map(mipi_10).collect(), TEN),
+        (Packing::Raw12, twelve.chunks(2).flat_map(mipi_12).collect(), twelve),
+        (Packing::Mono16, TEN.iter().flat_map(|s| s.to_le_bytes()).collect(), TEN),
+        (Packing::Mono16BigEndian, TEN.iter().flat_map(|s| s.to_be_bytes()).collect(), TEN),
+    ] {
+        let set = InFolder::new();
+        let plain = set.file("plain.raw", &bytes);
+        let image = raw(packing, 0, None).read(&plain).unwrap();
+        assert_eq!(
+            (image.width, image.height, bits16(&image)),
+            (6, 2, &expected[..]),
+            "{packing:?}"
+        );
+        let headed = set.file("headed.BIN", &[&[9; 5][..], &bytes].concat());
+        assert_eq!(raw(packing, 5, None).read(&headed).unwrap(), image, "{packing:?}");
+        let more = set.file("more.raw", &[&bytes[..], &[0]].concat());
+        let size = (bytes.len() + 1).to_string();
+        refused(raw(packing, 0, None).read(&more), &["more.raw", &size, "[images.raw]", "6 x 2"]);
+        refused(raw(packing, 1, None).read(&plain), &["plain.raw", "a header of 1 bytes"]);
+    }
+    // The bytes of the definitions.
+    let first = |packing: Packing, bytes: &[u8]| {
+        let set = InFolder::new();
+        let file = [bytes, &[0; 30][bytes.len()..]].concat();
+        let layout = RawLayout { packing, header_bytes: 0, row_bytes: Some(15) };
+        let reader = ImageReader::of_color(None).with_raw(Some(layout), (4, 2));
+        bits16(&reader.read(&set.file("a.raw", &file)).unwrap())[..4].to_vec()
+    };
+    assert_eq!(first(Packing::Mono12p, &[0x34, 0xa2, 0x78])[..2], [0x234, 0x78a]);
+    assert_eq!(first(Packing::Mono12Packed, &[0x23, 0xa4, 0x78])[..2], [0x234, 0x78a]);
+    assert_eq!(first(Packing::Raw12, &[0x23, 0x78, 0xa4])[..2], [0x234, 0x78a]);
+    assert_eq!(first(Packing::Raw10, &[0x80, 0x40, 0x20, 0x10, 0xe4]), [512, 257, 130, 67]);
+    assert_eq!(first(Packing::Mono10p, &[0x01, 0x08, 0x30, 0x00, 0x01]), [1, 2, 3, 4]);
+}
+
+#[test]
+fn rows_of_stated_length_are_read_and_impossible_ones_refused() {
+    let set = InFolder::new();
+    let rows = [consecutive(&TEN[..6], 10), consecutive(&TEN[6..], 10)];
+    let padded = set.file("padded.raw", &[&rows[0][..], &[7, 7], &rows[1], &[7, 7]].concat());
+    let image = raw(Packing::Mono10p, 0, Some(10)).read(&padded).unwrap();
+    assert_eq!(bits16(&image), TEN);
+    // The last row may end with its samples.
+    let short = set.file("short.raw", &[&rows[0][..], &[7, 7], &rows[1]].concat());
+    assert_eq!(raw(Packing::Mono10p, 0, Some(10)).read(&short).unwrap(), image);
+    refused(raw(Packing::Mono10p, 0, Some(7)).read(&short), &["row_bytes is 7", "need 8 bytes"]);
+    let wide = raw(Packing::Mono10p, 0, Some(u64::MAX)).read(&short);
+    refused(wide, &["short.raw", "correct [images.raw]"]);
+    let empty = set.file("empty.raw", &[]);
+    refused(raw(Packing::Mono8, u64::MAX, None).read(&empty), &["0 bytes"]);
+    // Not stated, or of another name.
+    let reader = ImageReader::of_color(None);
+    refused(
+        reader.read(&short),
+        &["short.raw", "[images.raw]", "packing", "Mono12p", "header_bytes"],
+    );
+    let other = set.file("other.dat", &[1; 12]);
+    refused(raw(Packing::Mono8, 0, None).read(&other), &["other.dat", "not PNG"]);
+}
+
+#[test]
+fn files_without_a_header_serve_like_others() {
+    let set = CLEAN.copy();
+    let reader = ImageReader::of_color(None);
+    for name in CLEAN.names().filter(|name| name.extension().is_some_and(|kind| kind == "png")) {
+        let path = set.path().join(name);
+        let image = reader.read(&path).unwrap();
+        let content = [&[255; 16][..], bits8(&image)].concat();
+        fs::write(path.with_extension("raw"), content).unwrap();
+    }
+    let project = set.path().join("project.toml");
+    let (a, b) = (set.path().join("a"), set.path().join("b"));
+    program("detect", &project, &a).success();
+    let text = fs::read_to_string(&project).unwrap().replace(".png", ".raw");
+    fs::write(&project, &text).unwrap();
+    program("detect", &project, &b).code(1).stderr(contains("add [images.raw] to a project"));
+    let raw = "\n[images.raw]\npacking = \"Mono8\"\nheader_bytes = 16\n\n[[images.whites]]";
+    let stated = text.replacen("\n[[images.whites]]", raw, 1);
+    fs::write(&project, &stated).unwrap();
+    program("detect", &project, &b).success();
+    assert_eq!(
+        fs::read(a.join("features.csv")).unwrap(),
+        fs::read(b.join("features.csv")).unwrap()
+    );
+    assert_eq!(fs::read(a.join("centers.csv")).unwrap(), fs::read(b.join("centers.csv")).unwrap());
+    fs::write(&project, stated.replace("Mono8", "Mono11p")).unwrap();
+    program("detect", &project, &b).code(1).stderr(contains("Mono11p").and(contains("Mono12p")));
+
+    // `init` leaves the layout to be filled in.
+    for name in CLEAN.names().filter(|name| name.extension().is_some_and(|kind| kind == "png")) {
+        fs::remove_file(set.path().join(name)).unwrap();
+    }
+    let made = set.path().join("made.toml");
+    let mut init = plenocal();
+    init.arg("init").arg(set.path()).arg("--out").arg(&made).args(["--preset", "mini"]);
+    init.assert()
+        .success()
+        .stdout(contains("[images.raw] packing").and(contains("3 white images")));
+    let made = fs::read_to_string(&made).unwrap();
+    assert!(made.contains("# width_px = ?") && made.contains("[images.raw]"), "{made}");
+}
+
+#[test]
+fn files_of_other_formats_are_refused_with_the_format_to_save() {
+    let set = InFolder::new();
+    let png = set.png("image.png", Samples::Bits8(vec![9; 384]));
+    let png = fs::read(png).unwrap();
+    for (name, content, words) in [
+        ("a.ray", &png[..], "recording of Raytrix"),
+        ("a.NEF", &png[..], "dcraw -D -4 -T -t 0"),
+        ("a.dng", b"II*\0", "raw file of a photo camera"),
+        ("a.lfr", b"\x89LFP\r\n\x1a\n", "Lytro"),
+        ("a.png", b"\x89LFP\r\n\x1a\n", "Lytro"),
+        ("a.h5", b"", "save the image in it as PNG or TIFF"),
+        ("h5.tif", b"\x89HDF\r\n\x1a\n", "file of arrays"),
+        ("b.png", b"SIMPLE  =                    T", "file of arrays"),
+        ("c.png", b"\x93NUMPY", "file of arrays"),
+        ("d.png", b"RIFFxxxxWEBP", "save the image as PNG or TIFF"),
+    ] {
+        let path = set.file(name, content);
+        refused(ImageReader::default().read(&path), &[name, words]);
+        refused(ImageReader::default().bytes(&path), &[name, words]);
+    }
+    // `init` lists them.
+    let mut init = plenocal();
+    init.arg("init").arg(set.folder.path()).arg("--out").arg(set.folder.path().join("p.toml"));
+    fs::remove_file(set.folder.path().join("h5.tif")).unwrap();
+    init.assert().success().stdout(contains("a.ray: a recording of Raytrix"));
+}
+
+/// A TIFF file with an orientation tag.
+fn turned(orientation: u16) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut bytes).unwrap();
+    let mut image = encoder.new_image::<colortype::Gray8>(24, 16).unwrap();
+    image.encoder().write_tag(Tag::Orientation, orientation).unwrap();
+    image.write_data(&[9; 384]).unwrap();
+    bytes.into_inner()
+}
+
+#[test]
+fn different_orientations_of_a_set_are_told() {
+    let set = InFolder::new();
+    let plain = set.png("plain.png", Samples::Bits8(vec![9; 384]));
+    let [upright, on_side, too] =
+        [("a.tif", 1), ("b.tif", 6), ("c.tif", 6)].map(|(name, of)| set.file(name, &turned(of)));
+    let told = |files: &[&PathBuf]| ImageReader::default().findings(files);
+    assert_eq!(told(&[&plain, &upright]), []);
+    assert_eq!(crate::support::codes(&told(&[&on_side, &too])), ["image-orientation"]);
+    let differ = told(&[&plain, &upright, &on_side, &too]);
+    assert_eq!(crate::support::codes(&differ), ["image-orientations-differ"]);
+    let words = "orientation 1: 2 images, first plain.png; orientation 6: 2 images, first b.tif";
+    assert!(differ[0].message().contains(words), "{}", differ[0]);
+    // Pixels stay as they are stored.
+    let read = ImageReader::default().read(&on_side).unwrap();
+    assert_eq!((read.width, read.height), (24, 16));
 }

@@ -9,7 +9,6 @@ use super::pages::{Pages, Sum, WIDER};
 use crate::error::{Error, Result};
 use crate::finding::{Finding, Issue};
 use crate::image::{RawImage, Samples};
-use crate::io::read_bytes;
 use crate::numerics::median;
 use crate::quantity::counted;
 
@@ -49,13 +48,8 @@ pub struct Dark {
 }
 
 impl Dark {
-    /// Reads a dark image, and averages its pages, for images with samples of `bits` bits.
-    pub fn read(path: &Path, bits: u32, pages: Pages) -> Result<Self> {
-        Self::of(path, bits, pages).map_err(|e| e.in_file(path))
-    }
-
-    fn of(path: &Path, bits: u32, pages: Pages) -> Result<Self> {
-        let sum = Sum::of_file(&read_bytes(path)?, |_| Ok(()))?;
+    /// Creates the dark image in a file from its pages, for images with samples of `bits` bits.
+    pub fn of(path: &Path, sum: Sum, bits: u32, pages: Pages) -> Result<Self> {
         if sum.bits.is_some_and(|own| own != bits) {
             return Err(Error::invalid(format!(
                 "this dark image has {} bits, but the images have {bits}: save it as they are",

@@ -1,11 +1,13 @@
 //! Image files.
 
 mod dark;
+mod foreign;
 mod icc;
 mod jpeg;
 mod notes;
 mod pages;
 mod png;
+mod raw;
 mod reader;
 mod scans;
 mod tags;
@@ -32,7 +34,9 @@ use crate::error::{Error, Result};
 use crate::image::{Color, RawImage, Samples};
 use crate::quantity::counted;
 
+pub(super) use foreign::by_name as not_read;
 pub use pages::Pages;
+pub use raw::{Packing, RawLayout, is_raw};
 pub use reader::ImageReader;
 
 /// Largest size of the samples of an image, bytes.
@@ -60,6 +64,15 @@ impl Stored {
             Self::Levels(Samples::Bits8(all)) => all.len(),
             Self::Levels(Samples::Bits16(all)) => all.len(),
             Self::Numbers(all, _) => all.len(),
+        }
+    }
+
+    /// Returns the bits of grey levels; `None` for other numbers.
+    fn bits(&self) -> Option<u32> {
+        match self {
+            Self::Levels(Samples::Bits8(_)) => Some(8),
+            Self::Levels(Samples::Bits16(_)) => Some(16),
+            Self::Numbers(..) => None,
         }
     }
 

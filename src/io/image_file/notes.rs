@@ -1,5 +1,6 @@
 //! Declarations of image files that are reported but not applied: tone curves, orientation, pages.
 
+use std::collections::BTreeMap;
 use std::io::{self, BufReader, Cursor, Read, Seek};
 use std::path::Path;
 
@@ -22,6 +23,8 @@ const EXIF: &[u8] = b"Exif\0\0";
 const ICC: &[u8] = b"ICC_PROFILE\0";
 /// Value of `ColorSpace` in EXIF blocks for sRGB.
 const SRGB: u64 = 1;
+/// Orientation of an image that is neither rotated nor reflected.
+const UPRIGHT: u64 = 1;
 /// Value of `gAMA` for samples that are linear in light, which is also its unit.
 const LINEAR_GAMA: u32 = 100_000;
 
@@ -53,21 +56,13 @@ pub fn image_findings(
     let of_curve = |(name, notes): &(String, Notes)| {
         notes.curve.clone().map(|profile| (name.clone(), profile))
     };
-    let of_orientation = |(name, notes): &(String, Notes)| {
-        notes.orientation.map(|orientation| (name.clone(), orientation))
-    };
     let of_pages =
         |(name, notes): &(String, Notes)| (notes.pages > 1).then(|| (name.clone(), notes.pages));
     let curves = first_of(notes.iter().filter_map(of_curve));
-    let turned = first_of(notes.iter().filter_map(of_orientation));
     let several = first_of(notes.iter().filter_map(of_pages));
     let issues = [
         curves.map(|(images, first, profile)| Issue::ImageProfile { images, first, profile }),
-        turned.map(|(images, first, orientation)| Issue::ImageOrientation {
-            images,
-            first,
-            orientation,
-        }),
+        orientation_issue(&notes),
     ];
     let several = several.map(|(images, first, count)| match pages {
         Pages::First => Finding::caution(Issue::SeveralPages { images, first, pages: count }),
@@ -76,6 +71,24 @@ pub fn image_findings(
         }
     });
     issues.into_iter().flatten().map(Finding::caution).chain(several).collect()
+}
+
+/// Returns the issue that images have orientation tags, or different ones.
+fn orientation_issue(notes: &[(String, Notes)]) -> Option<Issue> {
+    // Groups of images by orientation: their number and the first one.
+    let mut groups: BTreeMap<u64, (usize, String)> = BTreeMap::new();
+    for (name, notes) in notes {
+        let group = groups.entry(notes.orientation.unwrap_or(UPRIGHT));
+        group.or_insert_with(|| (0, name.clone())).0 += 1;
+    }
+    let (&orientation, (images, first)) = groups.iter().find(|(of, _)| **of != UPRIGHT)?;
+    let (images, first) = (*images, first.clone());
+    Some(if groups.len() == 1 {
+        Issue::ImageOrientation { images, first, orientation }
+    } else {
+        let groups = groups.into_iter().map(|(of, (images, first))| (of, images, first));
+        Issue::OrientationsDiffer { groups: groups.collect() }
+    })
 }
 
 /// Returns the number of items, and the first one.

@@ -4,7 +4,7 @@ use std::fmt;
 use std::io::Cursor;
 use std::str::FromStr;
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use toml::Value;
 
 use super::tags::Tags;
@@ -17,7 +17,7 @@ use crate::quantity::counted;
 pub const WIDER: f32 = 257.0;
 
 /// Pages of a TIFF file that make an image. Smaller versions and masks are no pages.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(try_from = "Value")]
 pub enum Pages {
     /// First page; other pages raise a warning.
@@ -74,16 +74,32 @@ pub fn decoded(bytes: &[u8], pages: Pages) -> Result<Decoded> {
         Pages::First => decode(bytes, 0),
         Pages::Number(number) => {
             let places = places(bytes);
-            let place = places.get(number - 1).ok_or_else(|| {
-                Error::invalid(format!(
-                    "page {number} is stated, but this file has {}: correct pages in [images]",
-                    counted(places.len(), "page")
-                ))
-            })?;
+            let place = places.get(number - 1).ok_or_else(|| no_page(number, places.len()))?;
             decode(bytes, *place)
         }
         Pages::Average => average(bytes),
     }
+}
+
+/// Returns the image of a file with one page, from these pages.
+pub fn alone(image: Decoded, pages: Pages) -> Result<Decoded> {
+    match (pages, image.samples) {
+        (Pages::Number(number), _) if number > 1 => Err(no_page(number, 1)),
+        (Pages::Average, Stored::Levels(Samples::Bits8(all))) => {
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a whole factor
+            let wider = all.into_iter().map(|sample| (f32::from(sample) * WIDER) as u16);
+            let samples = Stored::Levels(Samples::Bits16(wider.collect()));
+            Ok(Decoded { samples, ..image })
+        }
+        (_, samples) => Ok(Decoded { samples, ..image }),
+    }
+}
+
+fn no_page(number: usize, pages: usize) -> Error {
+    Error::invalid(format!(
+        "page {number} is stated, but this file has {}: correct pages in [images]",
+        counted(pages, "page")
+    ))
 }
 
 /// Sum of pages.
@@ -98,9 +114,17 @@ pub struct Sum {
 }
 
 impl Sum {
-    fn of(bits: Option<u32>, page: &Decoded) -> Self {
+    fn empty(page: &Decoded) -> Self {
         let &Decoded { width, height, color, .. } = page;
+        let bits = page.samples.bits();
         Self { width, height, color, bits, pages: 0, sums: vec![0.0; page.samples.count()] }
+    }
+
+    /// Creates the sum of one page.
+    pub fn of_page(page: Decoded) -> Self {
+        let mut sum = Self::empty(&page);
+        sum.add(page.samples);
+        sum
     }
 
     /// Adds all pages of a file; `also` is called with each of them.
@@ -110,12 +134,8 @@ impl Sum {
             let in_page = |e: Error| Error::invalid(format!("on page {number}: {e}"));
             let page = decode(bytes, place).map_err(in_page)?;
             also(&page).map_err(in_page)?;
-            let bits = match &page.samples {
-                Stored::Levels(Samples::Bits8(_)) => Some(8),
-                Stored::Levels(Samples::Bits16(_)) => Some(16),
-                Stored::Numbers(..) => None,
-            };
-            let sum = sum.get_or_insert_with(|| Self::of(bits, &page));
+            let bits = page.samples.bits();
+            let sum = sum.get_or_insert_with(|| Self::empty(&page));
             let alike = (page.width, page.height, page.color, bits, page.samples.count())
                 == (sum.width, sum.height, sum.color, sum.bits, sum.sums.len());
             if !alike {
@@ -124,7 +144,6 @@ impl Sum {
                      the pages that belong together in a file of their own"
                 )));
             }
-            sum.pages += 1;
             sum.add(page.samples);
         }
         sum.ok_or_else(|| Error::invalid("this TIFF file has no page with a whole image"))
@@ -135,6 +154,7 @@ impl Sum {
         fn to<T>(sums: &mut [f32], samples: Vec<T>, number: impl Fn(T) -> f32) {
             sums.iter_mut().zip(samples).for_each(|(sum, sample)| *sum += number(sample));
         }
+        self.pages += 1;
         let sums = &mut self.sums;
         match page {
             Stored::Levels(Samples::Bits8(all)) => to(sums, all, f32::from),
