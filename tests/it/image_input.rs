@@ -430,7 +430,7 @@ fn packed_samples_are_read_in_every_stated_layout() {
         let more = set.file("more.raw", &[&bytes[..], &[0]].concat());
         let size = (bytes.len() + 1).to_string();
         refused(raw(packing, 0, None).read(&more), &["more.raw", &size, "[images.raw]", "6 x 2"]);
-        refused(raw(packing, 1, None).read(&plain), &["plain.raw", "a header of 1 bytes"]);
+        refused(raw(packing, 1, None).read(&plain), &["plain.raw", "after a header (1 bytes)"]);
     }
     // The bytes of the definitions.
     let first = |packing: Packing, bytes: &[u8]| {

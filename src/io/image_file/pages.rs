@@ -178,7 +178,7 @@ fn average(bytes: &[u8]) -> Result<Decoded> {
         // Numbers of other types must be grey levels too.
         let levels = page.samples.levels()?;
         largest = Some(match largest.take() {
-            Some(before) => larger(before, levels),
+            Some(before) => larger(before, &levels),
             None => levels,
         });
         Ok(())
@@ -201,11 +201,11 @@ fn average(bytes: &[u8]) -> Result<Decoded> {
 }
 
 /// Returns the larger one of each pair of samples; of pages of other types, the first.
-fn larger(mut a: Samples, b: Samples) -> Samples {
+fn larger(mut a: Samples, b: &Samples) -> Samples {
     fn of<T: Ord + Copy>(a: &mut [T], b: &[T]) {
         a.iter_mut().zip(b).for_each(|(a, b)| *a = (*a).max(*b));
     }
-    match (&mut a, &b) {
+    match (&mut a, b) {
         (Samples::Bits8(a), Samples::Bits8(b)) => of(a, b),
         (Samples::Bits16(a), Samples::Bits16(b)) => of(a, b),
         _ => {}

@@ -107,6 +107,7 @@ pub struct RawFormat {
 }
 
 /// Returns true if a file with this name has no header.
+#[must_use]
 pub fn is_raw(path: &Path) -> bool {
     let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     ENDINGS.contains(&ending.as_str())
@@ -160,7 +161,7 @@ impl RawFormat {
         let size = file.len() as u64;
         if least.is_none_or(|least| size < least) || most.is_none_or(|most| size > most) {
             return Err(Error::invalid(format!(
-                "this file has {size} bytes, but {width} x {height} px of {packing:?} with a header of {header_bytes} bytes \
+                "this file has {size} bytes, but {width} x {height} px of {packing:?} after a header ({header_bytes} bytes) \
                  {}need {}: correct [images.raw], or the size in [sensor]",
                 row_bytes.map_or(String::new(), |bytes| format!("and rows of {bytes} bytes ")),
                 most.map_or("more than any file".to_owned(), |most| most.to_string())

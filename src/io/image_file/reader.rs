@@ -75,16 +75,14 @@ impl ImageReader {
     }
 
     fn header(&self, path: &Path) -> Result<Header> {
-        match self.raw_of(path) {
-            Some(format) => Ok(format.header()),
-            None => {
-                let read = |source| Error::Read { path: path.to_owned(), source };
-                let mut head = Vec::new();
-                open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head)).map_err(read)?;
-                foreign::check(path, &head).map_err(|e| e.in_file(path))?;
-                header_of(path)
-            }
+        if let Some(format) = self.raw_of(path) {
+            return Ok(format.header());
         }
+        let read = |source| Error::Read { path: path.to_owned(), source };
+        let mut head = Vec::new();
+        open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head)).map_err(read)?;
+        foreign::check(path, &head).map_err(|e| e.in_file(path))?;
+        header_of(path)
     }
 
     /// Returns the bits of a sample in memory without corrections.
@@ -94,13 +92,11 @@ impl ImageReader {
     }
 
     fn decoded(&self, path: &Path, bytes: &[u8]) -> Result<Decoded> {
-        match self.raw_of(path) {
-            Some(format) => pages::alone(format.decode(bytes)?, self.pages),
-            None => {
-                foreign::check(path, bytes)?;
-                pages::decoded(bytes, self.pages)
-            }
+        if let Some(format) = self.raw_of(path) {
+            return pages::alone(format.decode(bytes)?, self.pages);
         }
+        foreign::check(path, bytes)?;
+        pages::decoded(bytes, self.pages)
     }
 
     /// Reads a PNG, TIFF, BMP, PGM/PPM or JPEG file, or a file without a header whose layout is stated; transparency is ignored.
