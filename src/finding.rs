@@ -299,10 +299,25 @@ issues! {
     ImageOrientation "image-orientation" { images: usize, first: String, orientation: u64 } =>
         format!("{} with an orientation tag (first: {first}, orientation {orientation}); the pixels are used as stored", counted(*images, "image file")),
         "save all white images and boards in the orientation of the sensor, and do not rotate them with other software";
+    /// Image files of one set have different orientation tags: number and name of the first for each orientation.
+    OrientationsDiffer "image-orientations-differ" { groups: Vec<(u64, usize, String)> } =>
+        format!("the images have different orientation tags ({}); the pixels are used as stored", orientations(groups)),
+        "save all white images and boards in the orientation of the sensor: software may have rotated the pixels of some of them";
     /// TIFF files have several pages.
     SeveralPages "several-pages" { images: usize, first: String, pages: usize } =>
         format!("{} with several pages (first: {first}, {pages} pages); only the first page is read", counted(*images, "TIFF file")),
-        "save the required page as a separate file";
+        "state pages in [images]: \"average\" for exposures of the same scene, or the number of a page";
+    /// A page of TIFF files with several pages is chosen, or their mean.
+    PagesUsed "pages-used" { images: usize, first: String, pages: usize, used: String } =>
+        format!("{} with several pages (first: {first}, {pages} pages): {used}, as stated", counted(*images, "TIFF file")),
+        NONE;
+    /// A dark image is subtracted from all images.
+    DarkSubtracted "dark-image-subtracted" { dark: String, pages: usize, mean: f64, scatter: f64, hot_pixels: usize } =>
+        format!(
+            "the dark image {dark} is subtracted from all images ({}, mean {mean:.2} grey levels, scatter between pixels {scatter:.2}, {})",
+            counted(*pages, "page"), counted(*hot_pixels, "hot pixel")
+        ),
+        NONE;
     /// A maker's calibration has values that are not used.
     MakerValuesUnused "maker-values-unused" { distortion: Option<String>, rotation_rad: f64 } =>
         maker_values_text(distortion.as_deref(), *rotation_rad),
@@ -330,11 +345,11 @@ issues! {
     /// The stated black level contradicts the darkness between micro-images.
     BlackLevelContradicted "black-level-contradicted" { stated: f64, image: String, measured: f64 } =>
         format!("the stated black level is {stated} grey levels, but the samples between the micro-images of {image} are {measured:.2}"),
-        "correct black_level in [images], or remove it";
+        "correct black_level in [images], or remove it; take the dark image, if there is one, at the exposure time and gain of the white images";
     /// The black level cannot be measured.
     BlackLevelUnknown "black-level-unknown" =>
         "the black level cannot be measured: no white image is dark between its micro-images; a black level of 0 is assumed",
-        "state black_level in [images] (mean sample of an image with the lens covered), or add a white image at a larger f-number";
+        "state dark (an image with the lens covered) or black_level (its mean sample) in [images], or add a white image at a larger f-number";
     /// The radius of micro-images contradicts the f-numbers of the other white images.
     FNumberContradicted "f-number-contradicted" { f_number: f64, radius_px: f64, expected_px: f64 } =>
         format!("the micro-images of type 1 at f/{f_number:.2} have a radius of {radius_px:.2} px, but the other white images predict {expected_px:.2} px"),
@@ -866,6 +881,14 @@ fn step_scale_text(ratio: f64, step_mm: f64, square_mm: f64) -> String {
         square_mm / ratio,
         step_mm * ratio
     )
+}
+
+/// Lists the orientations of images.
+fn orientations(groups: &[(u64, usize, String)]) -> String {
+    let of = |(orientation, images, first): &(u64, usize, String)| {
+        format!("orientation {orientation}: {}, first {first}", counted(*images, "image"))
+    };
+    groups.iter().map(of).collect::<Vec<_>>().join("; ")
 }
 
 fn maker_values_text(distortion: Option<&str>, rotation_rad: f64) -> String {

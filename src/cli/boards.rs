@@ -9,7 +9,7 @@ use plenocal::detection::{
     check_board_size, check_configuration, detect,
 };
 use plenocal::image::RawImage;
-use plenocal::io::{self, ImagesSection, OutputFolder, Project};
+use plenocal::io::{self, ImageReader, ImagesSection, OutputFolder, Project};
 use plenocal::model::{Board, Datasheet, InternalParameters, Subset};
 use plenocal::report::{Figure, Photograph};
 use plenocal::{Error, Finding, Issue, Result, report};
@@ -25,6 +25,7 @@ pub struct Shoot {
     pub sheet: Datasheet,
     pub board: Board,
     pub images: ImagesSection,
+    pub reader: ImageReader,
 }
 
 /// Returns the images of a subset.
@@ -46,7 +47,8 @@ impl Shoot {
         check_configuration(&sheet).map_err(|e| e.in_file(path))?;
         let images = listed_images(path, project, "calibration = [...]")?;
         board.validate().and_then(|()| check_board_size(&board)).map_err(|e| e.in_file(path))?;
-        Ok(Self { sheet, board, images })
+        let reader = images.reader(&sheet.sensor)?;
+        Ok(Self { sheet, board, images, reader })
     }
 
     /// Returns for each image of a subset the name of an earlier identical image, if there is one. Images of the evaluation are
@@ -111,14 +113,14 @@ impl Shoot {
 
     fn check_black_level(&self, internal: &InternalParameters) -> Result<()> {
         const SAME: f64 = 1e-9;
-        let Some(stated) = self.images.black_level else { return Ok(()) };
+        let Some(stated) = self.reader.black_level() else { return Ok(()) };
         let subtracted = internal.levels.map_or(0.0, |levels| levels.black_level);
         if (subtracted - stated).abs() < SAME {
             return Ok(());
         }
         Err(Error::invalid(format!(
-            "it was measured with a black level of {subtracted}, but [images] says black_level = \
-             {stated}: run `plenocal precalibrate` again"
+            "it was measured with a black level of {subtracted}, but [images] gives {stated} (by \
+             black_level or the dark image): run `plenocal precalibrate` again"
         )))
     }
 }
@@ -198,12 +200,12 @@ pub fn detect_subset(
     }
     let white = shoot.white_image().map_err(|e| e.in_file(path))?;
     let at_once = images.len().min(AT_ONCE) as f64 + 1.0;
-    let bytes = io::image_bytes(&white)? as f64;
+    let bytes = shoot.reader.bytes(&white)? as f64;
     announce_memory(
         &format!("searching for boards in images of the size of {}", white.display()),
         bytes * at_once + WORK_BYTES * shoot.sheet.sensor.pixels() as f64,
     );
-    let white = io::read_image(&white, Some(shoot.images.color))?;
+    let white = shoot.reader.read(&white)?;
     let search = Search {
         micro_images,
         board: &shoot.board,
@@ -216,7 +218,7 @@ pub fn detect_subset(
         .map(|((frame, path), same)| {
             BoardImage::read_by(frame, file_name(path), move || match &same {
                 Some(before) => Err(Error::invalid(format!("it is the same image as {before}"))),
-                None => io::read_image(path, Some(shoot.images.color)),
+                None => shoot.reader.read(path),
             })
         })
         .collect();

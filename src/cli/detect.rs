@@ -53,15 +53,16 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let path = &arguments.project;
     let mut output = OutputFolder::new(&arguments.out)?;
     let shoot = Shoot::of(path, &Project::read(path)?)?;
-    tell(&io::doubtful_files(&shoot.images));
+    tell(&io::doubtful_files(&shoot.images, &shoot.reader));
     let micro_images = if let Some(folder) = &arguments.precalibration {
         shoot.read_precalibration(folder)?.0
     } else {
         let options = PrecalibrationOptions {
-            black_level: shoot.images.black_level,
+            black_level: shoot.reader.black_level(),
             ..PrecalibrationOptions::of_datasheet(&shoot.sheet)
         };
-        let (measured, _) = measure(path, &shoot.images, &shoot.sheet, &options, arguments.json)?;
+        let (images, reader) = (&shoot.images, &shoot.reader);
+        let (measured, _) = measure(path, images, reader, &shoot.sheet, &options, arguments.json)?;
         tell(&measured.findings);
         stage_centers(&mut output, &measured)?;
         output.stage_json("precalibration.json", &io::precalibration_document(&measured))?;

@@ -119,7 +119,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut output = OutputFolder::new(&arguments.out)?;
     let project = Project::read(path)?;
     let shoot = Shoot::of(path, &project)?;
-    tell(&io::doubtful_files(&shoot.images));
+    tell(&io::doubtful_files(&shoot.images, &shoot.reader));
     let shape = arguments.board_shape.as_deref();
     let candidates = candidates(&arguments.camera, &shoot.board, shape)?;
     let (micro_images, internal) = shoot.read_precalibration(&arguments.precalibration)?;

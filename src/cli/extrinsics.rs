@@ -65,7 +65,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     let begun = std::time::Instant::now();
     let mut output = OutputFolder::new(&arguments.out)?;
     let shoot = Shoot::of(path, &Project::read(path)?)?;
-    tell(&io::doubtful_files(&shoot.images));
+    tell(&io::doubtful_files(&shoot.images, &shoot.reader));
     let camera = calibrated(&arguments.camera)?;
     let stated = arguments.board_shape.as_deref();
     let (shape, _) =

@@ -23,7 +23,7 @@ use super::simulate::preset_names;
 #[derive(Args)]
 #[command(after_help = HELP, allow_negative_numbers = true)]
 pub struct Arguments {
-    /// Folder with the images (PNG, TIFF, BMP, PGM, JPEG), searched with all its subfolders.
+    /// Folder with the images (PNG, TIFF, BMP, PGM, JPEG, or .raw without a header), searched with all its subfolders.
     images: PathBuf,
     /// Project file to write.
     #[arg(long, value_name = "FILE")]
@@ -60,6 +60,7 @@ const HELP: &str = "\
 Names of files and folders:
   white images   white*, or an f-number alone: whites/white-n-4.00.png, flat_f4.0.png, N8.tif
   devignetting   devignetting*, vignetting*
+  dark image     dark, darks, darkframe
   calibration    calib*, board*, check*, chess*
   evaluation     eval*
   translation    translation*, step*
@@ -160,7 +161,7 @@ fn found_color(images: &SortedImages, format: Option<CommonFormat>) -> Result<Op
         known => return Ok(known),
     }
     let whites = images.whites.iter().map(|(path, _)| path);
-    for path in images.devignetting.iter().chain(whites) {
+    for path in images.devignetting.iter().chain(whites).filter(|path| !io::is_raw(path)) {
         if let Some(mosaic) = io::read_image(path, Some(Color::Grey))?.shows_mosaic() {
             return Ok((!mosaic).then_some(Color::Grey));
         }
@@ -174,6 +175,7 @@ fn summary(draft: &ProjectDraft, drafted: &DraftText, color_is_stated: bool, out
     for (count, noun, purpose) in [
         (images.whites.len(), "white image", ""),
         (images.devignetting.len(), "devignetting image", ""),
+        (images.dark.len(), "dark image", ""),
         (images.calibration.len(), "board", " for calibration"),
         (images.evaluation.len(), "board", " for evaluation"),
         (images.translation.len(), "image", " of a translation"),

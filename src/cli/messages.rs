@@ -12,7 +12,7 @@ use plenocal::assessment::Verdict;
 use plenocal::error::Input;
 use plenocal::model::BapFeature;
 use plenocal::report::Section;
-use plenocal::{Error, Finding, Issue, Result, Severity};
+use plenocal::{Error, Finding, Issue, Result, Severity, Subject};
 use serde::Serialize;
 
 use super::progress;
@@ -91,7 +91,7 @@ pub fn warn(warnings: &[impl Display]) {
 /// Number of findings of one kind from which they are printed as one.
 const MANY: usize = 10;
 
-/// Prints findings as warnings: a line with the code, and one with the remedy. If there are many of one kind, the first is
+/// Prints findings as warnings, but notes about the whole input that ask for nothing as notes: a line with the code, and one with the remedy. If there are many of one kind, the first is
 /// printed and the others are counted.
 pub fn tell<'a>(findings: impl IntoIterator<Item = &'a Finding>) {
     let findings: Vec<&Finding> = findings.into_iter().collect();
@@ -101,7 +101,13 @@ pub fn tell<'a>(findings: impl IntoIterator<Item = &'a Finding>) {
         let (code, count) = (finding.code(), of_kind(finding.code()));
         if count < MANY || counted.insert(code) {
             let others = if count < MANY { 0 } else { count - 1 };
-            warn_of(&told(finding, others));
+            let text = told(finding, others);
+            match (finding.severity, &finding.subject) {
+                (Severity::Note, Subject::Whole) if finding.remedy().is_empty() => {
+                    say(&format!("note: {text}"));
+                }
+                _ => warn_of(&text),
+            }
         }
     }
 }
@@ -142,6 +148,7 @@ fn option(issue: &Issue) -> Option<String> {
     match issue {
         Issue::OutlyingCenters { .. } | Issue::OutlyingUnweighted { .. } => Some("--loss".into()),
         Issue::Undetermined { .. } => Some("--fix".into()),
+        Issue::SeveralPages { .. } => Some("for a single image: --pages".into()),
         Issue::PriorContradicted { .. } => Some("--prior".into()),
         Issue::OtherCost { problem, .. } => Some(format!("--problem {problem}")),
         Issue::OutlyingFrame { frame, .. } => Some(format!("--exclude {frame}")),

@@ -7,7 +7,9 @@ use std::process::ExitCode;
 use clap::{Args, ValueEnum};
 use nalgebra::Vector2;
 use plenocal::assessment::{DistanceCheck, check_corners, check_places, check_virtual_points};
-use plenocal::io::{self, DepthMap, OutputFolder, PlyColumn, PlyWriter, VirtualDepths};
+use plenocal::io::{
+    self, DepthMap, ImageReader, OutputFolder, PlyColumn, PlyWriter, VirtualDepths,
+};
 use plenocal::model::PlenopticCamera;
 use plenocal::solver::{
     MetricPoint, MicroPixel, VirtualPoint, corners, focused_points, metric_points, micro_images_at,
@@ -162,7 +164,7 @@ fn cloud<'a>(arguments: &'a Arguments, camera: &'a PlenopticCamera) -> Result<Cl
     };
     // A pipe can be read only once, and has no size.
     if arguments.input.is_file()
-        && let Ok(bytes) = io::image_bytes(&arguments.input)
+        && let Ok(bytes) = ImageReader::default().bytes(&arguments.input)
     {
         announce_memory("reading an image of this size", bytes as f64 * IMAGE_COPIES);
     }

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::Args;
 use nalgebra::Vector2;
 use plenocal::image::Color;
-use plenocal::io::{self, ImagesSection, OutputFolder, Project, compote};
+use plenocal::io::{self, ImageReader, ImagesSection, OutputFolder, Pages, Project, compote};
 use plenocal::model::{Datasheet, MicroImageCenter};
 use plenocal::precalibration::{
     ArrayMeasurement, Precalibration, PrecalibrationOptions, RadiusEstimator, White,
@@ -44,6 +44,12 @@ micro-images.svg; from a project also radii.svg and COMPOTE's camera.js and para
     /// Meaning of the samples of a single image [default: grey or RGB, as in the file].
     #[arg(long)]
     color: Option<Color>,
+    /// Page of a single TIFF image that is read, from 1, or the mean of all pages: `average` [default: the first].
+    #[arg(long)]
+    pages: Option<Pages>,
+    /// Image without light, which is subtracted from a single image.
+    #[arg(long, value_name = "FILE")]
+    dark: Option<PathBuf>,
     /// Print the result as one JSON object instead of tables.
     #[arg(long)]
     json: bool,
@@ -84,16 +90,20 @@ impl Kind {
     }
 }
 
+const OF_PROJECT: [&str; 3] = [
+    "--color is for a single image; a project states it in [images]",
+    "--pages is for a single image; a project states it in [images]",
+    "--dark is for a single image; a project states it in [images]",
+];
+
 /// Checks the options; an error names an option for another kind of input.
 fn check_options(arguments: &Arguments, kind: Kind) -> Result<()> {
     let options = [
         (arguments.size.is_some(), Kind::Raytrix, "--size is for a Raytrix calibration (XML)"),
         (arguments.estimator.is_some(), Kind::Project, "--estimator is for a project (TOML)"),
-        (
-            arguments.color.is_some(),
-            Kind::Image,
-            "--color is for a single image; a project states it in [images]",
-        ),
+        (arguments.color.is_some(), Kind::Image, OF_PROJECT[0]),
+        (arguments.pages.is_some(), Kind::Image, OF_PROJECT[1]),
+        (arguments.dark.is_some(), Kind::Image, OF_PROJECT[2]),
     ];
     match options.iter().find(|&&(given, of, _)| given && of != kind) {
         Some((.., what)) => {
@@ -125,11 +135,17 @@ fn of_image(
     output: &mut OutputFolder,
 ) -> Result<(String, serde_json::Value)> {
     let path = &arguments.input;
-    let bytes = io::image_bytes(path)? as f64;
+    let reader = ImageReader::of_color(arguments.color);
+    let reader = reader.with_pages(arguments.pages.unwrap_or_default());
+    let reader = match &arguments.dark {
+        Some(dark) => reader.with_dark(dark, path)?,
+        None => reader,
+    };
+    let bytes = reader.bytes(path)? as f64;
     announce_memory("measuring an image of this size", bytes * (1.0 + WORK_BYTES_ALONE));
-    let image = io::read_image(path, arguments.color)?;
+    let image = reader.read(path)?;
     let array = measure_array(&image, None).map_err(|e| e.in_file(path))?;
-    tell(&io::image_findings(&[path]));
+    tell(&reader.findings(&[path]));
     let of_color = image.doubtful_color().map(Finding::caution).into_iter();
     let findings = of_color.chain(array_findings(&array, &image));
     tell(&findings.map(|f| f.about(Subject::File(path.clone()))).collect::<Vec<_>>());
@@ -189,13 +205,14 @@ fn of_project(
     let project = Project::read(path)?;
     let sheet = camera_of(path, &project)?;
     let images = listed_images(path, &project, "[[images.whites]]")?;
+    let reader = images.reader(&sheet.sensor)?;
     let options = PrecalibrationOptions {
         estimator: arguments.estimator.unwrap_or_default(),
-        black_level: images.black_level,
+        black_level: reader.black_level(),
         ..PrecalibrationOptions::of_datasheet(&sheet)
     };
-    let (result, whites) = measure(path, &images, &sheet, &options, arguments.json)?;
-    tell(&of_whites(&images));
+    let (result, whites) = measure(path, &images, &reader, &sheet, &options, arguments.json)?;
+    tell(&of_whites(&images, &reader));
     tell(&result.findings);
     stage(output, &result, &sheet, &whites)?;
     let section = report::precalibration_section(&result, Vec::new());
@@ -203,21 +220,22 @@ fn of_project(
 }
 
 /// Returns findings about the files of the white images.
-fn of_whites(images: &ImagesSection) -> Vec<Finding> {
+fn of_whites(images: &ImagesSection, reader: &ImageReader) -> Vec<Finding> {
     let none = ImagesSection { calibration: Vec::new(), evaluation: Vec::new(), ..images.clone() };
-    io::doubtful_files(&ImagesSection { translation: None, ..none })
+    io::doubtful_files(&ImagesSection { translation: None, ..none }, reader)
 }
 
 /// Measures the white images of a project, and returns the images too.
 pub(super) fn measure(
     path: &Path,
     images: &ImagesSection,
+    reader: &ImageReader,
     sheet: &Datasheet,
     options: &PrecalibrationOptions,
     quiet: bool,
 ) -> Result<(Precalibration, Vec<White>)> {
-    announce(images)?;
-    let (whites, reference) = read_whites(images, sheet).map_err(|e| e.in_file(path))?;
+    announce(images, reader)?;
+    let (whites, reference) = read_whites(images, reader, sheet).map_err(|e| e.in_file(path))?;
     let bar = progress::steps(quiet, whites.len(), "measuring white images");
     let result = precalibrate(&whites, reference.as_ref(), options, &|| bar.inc());
     bar.finish();
@@ -262,9 +280,9 @@ const WORK_BYTES_ALONE: f64 = 5.0;
 const CENTER_BYTES: f64 = 180.0;
 
 /// Announces the memory for the white images of a project, all of which are measured together.
-fn announce(images: &ImagesSection) -> Result<()> {
+fn announce(images: &ImagesSection, reader: &ImageReader) -> Result<()> {
     let files = images.whites.iter().map(|white| &white.image).chain(&images.devignetting);
-    let bytes: Vec<u64> = files.map(|path| io::image_bytes(path)).collect::<Result<_>>()?;
+    let bytes: Vec<u64> = files.map(|path| reader.bytes(path)).collect::<Result<_>>()?;
     let all: f64 = bytes.iter().map(|bytes| *bytes as f64).sum();
     // The number of bytes is an upper limit of the number of pixels: a pixel takes one, two, three or six bytes.
     let largest = bytes.iter().max().map_or(0.0, |bytes| *bytes as f64);
@@ -274,14 +292,18 @@ fn announce(images: &ImagesSection) -> Result<()> {
 }
 
 /// Reads the white images of a project, and its devignetting image.
-fn read_whites(images: &ImagesSection, sheet: &Datasheet) -> Result<(Vec<White>, Option<White>)> {
+fn read_whites(
+    images: &ImagesSection,
+    reader: &ImageReader,
+    sheet: &Datasheet,
+) -> Result<(Vec<White>, Option<White>)> {
     let named = images.whites.iter().map(|white| Ok((&white.image, white.f_number()?)));
     let reference = images.devignetting.iter().map(|path| Ok((path, sheet.f_number)));
     let all = named.chain(reference).collect::<Result<Vec<(&PathBuf, f64)>>>()?;
     let mut whites = all
         .par_iter()
         .map(|&(path, f_number)| {
-            let image = io::read_image(path, Some(images.color))?;
+            let image = reader.read(path)?;
             Ok(White { name: path.display().to_string(), f_number, image })
         })
         .collect::<Result<Vec<White>>>()?;

@@ -118,7 +118,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
             "one fold leaves no frames to calibrate with: give --folds 0 for none, or 2 or more",
         ));
     }
-    let of_images = first_look(&shoot.images).map_err(|e| e.in_file(path))?;
+    let of_images = first_look(&shoot.images, &shoot.reader).map_err(|e| e.in_file(path))?;
     // Two runs at once would mix their files.
     let _held = FolderLock::hold(&arguments.out)?;
     let mut run = Run::new(arguments, &project, &shoot, options)?;
@@ -293,13 +293,13 @@ impl<'a> Run<'a> {
     }
 
     fn precalibration(&mut self, output: &mut OutputFolder) -> Result<Precalibration> {
-        let (images, sheet) = (&self.shoot.images, &self.shoot.sheet);
+        let Shoot { images, sheet, reader, .. } = self.shoot;
         let options = PrecalibrationOptions {
-            black_level: images.black_level,
+            black_level: reader.black_level(),
             ..PrecalibrationOptions::of_datasheet(sheet)
         };
         let (path, quiet) = (&self.arguments.project, self.arguments.json);
-        let (result, whites) = precalibrate::measure(path, images, sheet, &options, quiet)?;
+        let (result, whites) = precalibrate::measure(path, images, reader, sheet, &options, quiet)?;
         output.stage_json("precalibration.json", &io::precalibration_document(&result))?;
         let figures = precalibrate::stage(output, &result, sheet, &whites)?;
         if !self.arguments.no_pictures {

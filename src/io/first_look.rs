@@ -7,7 +7,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::image_file::image_findings;
+use super::image_file::ImageReader;
 use super::manifest::hash_file;
 use super::{ImagesSection, open};
 use crate::error::{Error, Result};
@@ -19,7 +19,7 @@ const JPEG: [u8; 2] = [0xff, 0xd8];
 /// Checks all image files that a project lists, and returns findings with their remedies.
 ///
 /// An error if a file does not exist, or if two white images of different f-numbers are identical.
-pub fn first_look(images: &ImagesSection) -> Result<Vec<Finding>> {
+pub fn first_look(images: &ImagesSection, reader: &ImageReader) -> Result<Vec<Finding>> {
     for path in images.files() {
         open(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
     }
@@ -32,14 +32,14 @@ pub fn first_look(images: &ImagesSection) -> Result<Vec<Finding>> {
             )));
         }
     }
-    Ok(doubtful_files(images))
+    Ok(doubtful_files(images, reader))
 }
 
-/// Returns findings about the files themselves: compression with loss, and the findings of [`image_findings`].
+/// Returns findings about the files themselves: compression with loss, and [`ImageReader::findings`].
 #[must_use]
-pub fn doubtful_files(images: &ImagesSection) -> Vec<Finding> {
+pub fn doubtful_files(images: &ImagesSection, reader: &ImageReader) -> Vec<Finding> {
     let files: Vec<&Path> = images.files().collect();
-    compressed(images).into_iter().chain(image_findings(&files)).collect()
+    compressed(images).into_iter().chain(reader.findings(&files)).collect()
 }
 
 /// Returns for each image the name of an identical one among `before` or earlier in the list. A frame that is used twice makes
@@ -85,7 +85,7 @@ fn name(path: &Path) -> String {
 mod tests {
     use std::path::PathBuf;
 
-    use super::super::WhiteImage;
+    use super::super::{Pages, WhiteImage};
     use super::*;
     use crate::image::Color;
 
@@ -107,6 +107,9 @@ mod tests {
         ImagesSection {
             color: Color::Grey,
             black_level: None,
+            pages: Pages::First,
+            dark: None,
+            raw: None,
             whites: whites.iter().map(white).collect(),
             devignetting: None,
             calibration: calibration.to_vec(),
@@ -129,17 +132,18 @@ mod tests {
     #[test]
     fn whites_that_are_one_and_missing_files_are_errors() {
         let (folder, paths) = files(&[b"a", b"a"]);
-        let error = first_look(&section(&paths, &[])).unwrap_err().to_string();
+        let reader = ImageReader::default();
+        let error = first_look(&section(&paths, &[]), &reader).unwrap_err().to_string();
         assert!(error.starts_with("0.png and 1.png are the same image"), "{error}");
         let missing = [folder.path().join("none.png")];
-        let error = first_look(&section(&paths[..1], &missing)).unwrap_err().to_string();
+        let error = first_look(&section(&paths[..1], &missing), &reader).unwrap_err().to_string();
         assert!(error.contains("none.png"), "{error}");
     }
 
     #[test]
     fn jpeg_files_are_named_whatever_they_are_called() {
         let (_folder, paths) = files(&[b"a", &[0xff, 0xd8, 0xff]]);
-        let findings = first_look(&section(&[], &paths)).unwrap();
+        let findings = first_look(&section(&[], &paths), &ImageReader::default()).unwrap();
         let [finding] = &findings[..] else { panic!("{findings:?}") };
         let first = "1.png".to_owned();
         assert_eq!(finding.issue, Issue::LossyCompression { images: 1, first });

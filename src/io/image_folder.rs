@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::image_file::format_of;
+use super::image_file::{format_of, is_raw, not_read};
 use crate::error::{Error, Result};
 use crate::image::Color;
 use crate::model::optics;
@@ -46,6 +46,8 @@ pub struct SortedImages {
     pub whites: Vec<(PathBuf, Option<NamedFNumber>)>,
     /// White images in the light of the boards; a project uses one.
     pub devignetting: Vec<PathBuf>,
+    /// Images without light; a project uses one.
+    pub dark: Vec<PathBuf>,
     /// Boards of the calibration.
     pub calibration: Vec<PathBuf>,
     /// Boards of the evaluation.
@@ -70,7 +72,8 @@ pub struct CommonFormat {
     pub channels: Option<Color>,
 }
 
-const ENDINGS: [&str; 9] = ["png", "tif", "tiff", "bmp", "pgm", "ppm", "pnm", "jpg", "jpeg"];
+const ENDINGS: [&str; 10] =
+    ["png", "tif", "tiff", "bmp", "pgm", "ppm", "pnm", "jpg", "jpeg", "raw"];
 /// F-numbers of full stops and thirds of stops, as engraved on lenses.
 #[rustfmt::skip]
 const ENGRAVED: [f64; 35] = [
@@ -88,12 +91,13 @@ const NAMED: usize = 8;
 enum Kind {
     White,
     Devignetting,
+    Dark,
     Calibration,
     Evaluation,
     Translation,
 }
 
-/// Finds PNG, TIFF, BMP, PGM/PPM and JPEG files in a folder and its subfolders, and sorts them by their paths in the folder.
+/// Finds PNG, TIFF, BMP, PGM/PPM and JPEG files, and `.raw` files without a header, in a folder and its subfolders, and sorts them by their paths in the folder.
 /// Hidden files are skipped. Broken links, pipes, and names that a project file cannot contain are skipped and listed.
 ///
 /// An error if there are no images.
@@ -108,11 +112,16 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
         }
     }
     if files.is_empty() {
-        return Err(Error::content(
-            folder,
-            "there are no images in this folder: give a folder with PNG, TIFF, BMP, PGM or JPEG \
+        let first = skipped.first().map(|(path, reason)| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            format!(" ({name}, for example, is skipped: {reason})")
+        });
+        let message = format!(
+            "there are no images in this folder{}: give a folder with PNG, TIFF, BMP, PGM or JPEG \
              files",
-        ));
+            first.unwrap_or_default()
+        );
+        return Err(Error::content(folder, message));
     }
     let below =
         |path: &Path| path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
@@ -128,6 +137,7 @@ pub fn sort_images(folder: &Path) -> Result<SortedImages> {
             Ok(found) => match found.or_else(only_stop) {
                 Some(Kind::White) => sorted.whites.push((path, f_number)),
                 Some(Kind::Devignetting) => sorted.devignetting.push(path),
+                Some(Kind::Dark) => sorted.dark.push(path),
                 Some(Kind::Calibration) => sorted.calibration.push(path),
                 Some(Kind::Evaluation) => sorted.evaluation.push(path),
                 Some(Kind::Translation) => sorted.translation.push(path),
@@ -148,7 +158,8 @@ fn unusable(path: &Path, folder: &Path) -> Option<&'static str> {
         return Some("it is a pipe or a device");
     }
     let below = path.strip_prefix(folder).unwrap_or(path);
-    below.to_str().is_none().then_some("its name is not UTF-8: rename it")
+    let rename = || below.to_str().is_none().then_some("its name is not UTF-8: rename it");
+    not_read(path).or_else(rename)
 }
 
 fn images_in(folder: &Path, seen: &mut HashSet<PathBuf>, images: &mut Vec<PathBuf>) -> Result<()> {
@@ -166,7 +177,8 @@ fn images_in(folder: &Path, seen: &mut HashSet<PathBuf>, images: &mut Vec<PathBu
         }
         if path.is_dir() {
             images_in(&path, seen, images)?;
-        } else if ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) {
+        } else if ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) || not_read(&path).is_some()
+        {
             images.push(path);
         }
     }
@@ -205,7 +217,7 @@ struct Contradiction;
 fn kind(name: &str) -> std::result::Result<Option<Kind>, Contradiction> {
     let of_parts = |of_part: fn(&str) -> Option<Kind>| name.rsplit('/').filter_map(of_part);
     let clear: Vec<Kind> = of_parts(clear_kind).collect();
-    let is_board = |kind: &Kind| !matches!(kind, Kind::White | Kind::Devignetting);
+    let is_board = |kind: &Kind| !matches!(kind, Kind::White | Kind::Devignetting | Kind::Dark);
     if let [first, rest @ ..] = clear.as_slice() {
         let contradicted = rest.iter().any(|kind| is_board(kind) && kind != first);
         return if is_board(first) && contradicted { Err(Contradiction) } else { Ok(Some(*first)) };
@@ -225,10 +237,17 @@ fn clear_kind(part: &str) -> Option<Kind> {
         ("calib", Kind::Calibration),
         ("translation", Kind::Translation),
     ];
+    const DARK: [&str; 4] = ["dark", "darks", "darkframe", "darkframes"];
     const BEGINNING: [(&str, Kind); 2] = [("eval", Kind::Evaluation), ("step", Kind::Translation)];
     let contained = CONTAINED.iter().find(|(word, _)| part.contains(word));
     let begun = || BEGINNING.iter().find(|(start, _)| words(part).any(|w| w.starts_with(start)));
-    contained.or_else(begun).map(|&(_, kind)| kind)
+    let is_dark = unclear_kind(part).is_none() && words(part).any(|word| DARK.contains(&word));
+    let dark = is_dark.then_some(Kind::Dark);
+    match contained.or_else(begun).map(|&(_, kind)| kind) {
+        // A dark image may name the images that it belongs to.
+        Some(Kind::White | Kind::Devignetting) | None if dark.is_some() => dark,
+        kind => kind,
+    }
 }
 
 fn unclear_kind(part: &str) -> Option<Kind> {
@@ -273,13 +292,19 @@ impl SortedImages {
     pub fn sorted(&self) -> impl Iterator<Item = &Path> {
         let whites = self.whites.iter().map(|(path, _)| path);
         let boards = self.calibration.iter().chain(&self.evaluation).chain(&self.translation);
-        whites.chain(&self.devignetting).chain(boards).map(PathBuf::as_path)
+        whites.chain(&self.devignetting).chain(&self.dark).chain(boards).map(PathBuf::as_path)
     }
 
-    /// Returns size and channels of the sorted images; `None` if there are none. An error names the images that differ in size
+    /// Returns true if some images are files without a header.
+    pub fn has_raw(&self) -> bool {
+        self.sorted().any(is_raw)
+    }
+
+    /// Returns size and channels of the sorted images with a header; `None` if there are none. An error names the images that differ in size
     /// from most.
     pub fn common_format(&self) -> Result<Option<CommonFormat>> {
-        let formats = self.sorted().map(|path| Ok((path, format_of(path)?)));
+        let with_header = self.sorted().filter(|path| !is_raw(path));
+        let formats = with_header.map(|path| Ok((path, format_of(path)?)));
         let formats = formats.collect::<Result<Vec<(&Path, (u32, u32, Color))>>>()?;
         let size = |&(_, (width, height, _)): &(&Path, (u32, u32, Color))| (width, height);
         let alike = |this| formats.iter().filter(|format| size(format) == this).count();
@@ -353,6 +378,11 @@ mod tests {
             ("whites/devignetting", Some(Kind::Devignetting)),
             ("calib_03", Some(Kind::Calibration)),
             ("boards/7", Some(Kind::Calibration)),
+            ("white-f4-dark", Some(Kind::Dark)),
+            ("darks/white-f4", Some(Kind::White)),
+            ("dark/03", Some(Kind::Dark)),
+            ("board-dark-03", Some(Kind::Calibration)),
+            ("darkroom", None),
             ("evaluation/board-02", Some(Kind::Evaluation)),
             ("eval03", Some(Kind::Evaluation)),
             ("medieval", None),

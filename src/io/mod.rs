@@ -49,7 +49,9 @@ pub use detection_file::{add_detection, detection_document};
 pub use evaluation_file::evaluation_document;
 pub use first_look::{doubtful_files, first_look, repeated};
 pub use folder_lock::FolderLock;
-pub use image_file::{image_bytes, image_findings, read_image, write_jpeg, write_png};
+pub use image_file::{
+    ImageReader, Packing, Pages, RawLayout, is_raw, read_image, write_jpeg, write_png,
+};
 pub use image_folder::{CommonFormat, NamedFNumber, SortedImages, sort_images};
 pub use input::{
     CameraSource, read_array_size, read_board, read_camera_source, read_internal_parameters,

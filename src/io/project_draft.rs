@@ -204,25 +204,20 @@ impl ProjectDraft<'_> {
         let color = self.color.map(|color| format!("\"{}\"", color.name()));
         let what = "\"grey\", \"rgb\", or the mosaic: \"bayer-rggb\", \"bayer-grbg\", ...";
         draft.value("images", "color", color, what);
-        let what = "grey levels without light; measured on the white images if left out";
-        draft.commented("# black_level = ...", what);
-        match images.devignetting.as_slice() {
-            [] => {
-                let what = "a white image in the light and at the f-number of the boards";
-                draft.commented("# devignetting = \"...\"", what);
-            }
-            [one] => draft.line(&format!("devignetting = {}", name(one)?)),
-            several => {
-                for path in several {
-                    let which = format!("{FILL_IN}: the white image in the light of the boards");
-                    draft.commented(&format!("# devignetting = {}", name(path)?), &which);
-                }
-                draft.missing.push(format!(
-                    "[images] devignetting: which of the {} images belongs to the boards",
-                    several.len()
-                ));
-            }
+        if images.dark.is_empty() {
+            let what = "grey levels without light; measured on the white images if left out";
+            draft.commented("# black_level = ...", what);
         }
+        one_of(
+            draft,
+            ("devignetting", &names(&images.devignetting)?),
+            "a white image in the light and at the f-number of the boards",
+        );
+        one_of(
+            draft,
+            ("dark", &names(&images.dark)?),
+            "an image with the lens covered, at the exposure time and gain of the others",
+        );
         draft.list("calibration", &names(&images.calibration)?);
         if !images.evaluation.is_empty() {
             draft.list("evaluation", &names(&images.evaluation)?);
@@ -240,6 +235,13 @@ impl ProjectDraft<'_> {
         }
         for name in &unsorted {
             draft.line(&format!("#   {name},"));
+        }
+        if images.has_raw() {
+            draft.table("images.raw", "layout of the .raw files, which have no header");
+            let what = "\"Mono12p\", \"Mono12Packed\", \"raw12\", \"Mono16\", ...";
+            draft.value("images.raw", "packing", None, what);
+            draft.commented("# header_bytes = ...", "bytes before the first row, if there are any");
+            draft.commented("# row_bytes = ...", "bytes from row to row, if rows are padded");
         }
         for (path, f_number) in &images.whites {
             let image = name(path)?;
@@ -279,6 +281,22 @@ impl ProjectDraft<'_> {
             for line in table.lines().filter(|line| !line.is_empty()) {
                 draft.line(&format!("# {}", line.strip_prefix("# ").unwrap_or(line)));
             }
+        }
+    }
+}
+
+/// Writes the image of this key, or all that may be meant; without one, a comment that says what it would be.
+fn one_of(draft: &mut DraftText, (key, names): (&str, &[String]), what: &str) {
+    match names {
+        [] => draft.commented(&format!("# {key} = \"...\""), what),
+        [one] => draft.line(&format!("{key} = {one}")),
+        several => {
+            for name in several {
+                draft.commented(&format!("# {key} = {name}"), &format!("{FILL_IN}: {what}"));
+            }
+            draft
+                .missing
+                .push(format!("[images] {key}: which of the {} images is {what}", several.len()));
         }
     }
 }

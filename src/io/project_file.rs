@@ -6,6 +6,7 @@ use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer};
 use toml::{Table, Value};
 
+use super::image_file::{ImageReader, Pages, RawLayout};
 use super::project_draft::FILL_IN;
 use super::read_text;
 use super::spelling::plain;
@@ -127,6 +128,13 @@ pub struct ImagesSection {
     pub color: Color,
     /// Mean sample of a pixel without light, grey levels of the files; measured if not stated.
     pub black_level: Option<f64>,
+    /// Pages of TIFF files that are read.
+    #[serde(default)]
+    pub pages: Pages,
+    /// Image without light, which is subtracted from all others; its pages are averaged.
+    pub dark: Option<PathBuf>,
+    /// Layout of `.raw` and `.bin` files, which have no header. They have the size of the sensor.
+    pub raw: Option<RawLayout>,
     /// White images for the pre-calibration.
     #[serde(default)]
     pub whites: Vec<WhiteImage>,
@@ -145,10 +153,22 @@ pub struct ImagesSection {
 impl ImagesSection {
     /// Returns all image files.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
-        let whites = self.whites.iter().map(|white| &white.image).chain(&self.devignetting);
+        let whites = self.whites.iter().map(|white| &white.image);
+        let whites = whites.chain(&self.devignetting).chain(&self.dark);
         let moved = self.translation.iter().flat_map(|t| &t.images);
         let boards = self.calibration.iter().chain(&self.evaluation).chain(moved);
         whites.chain(boards).map(PathBuf::as_path)
+    }
+
+    /// Returns the reader of the images of this sensor, and reads their dark image.
+    pub fn reader(&self, sensor: &Sensor) -> Result<ImageReader> {
+        let reader = ImageReader::of_color(Some(self.color)).with_pages(self.pages);
+        let reader = reader.with_raw(self.raw, (sensor.width_px, sensor.height_px));
+        let reader = reader.with_black_level(self.black_level);
+        match (&self.dark, self.files().find(|path| Some(*path) != self.dark.as_deref())) {
+            (Some(dark), Some(first)) => reader.with_dark(dark, first),
+            _ => Ok(reader),
+        }
     }
 
     fn paths(&mut self) -> impl Iterator<Item = &mut PathBuf> {
@@ -156,7 +176,7 @@ impl ImagesSection {
         let moved =
             self.translation.iter_mut().flat_map(|t| t.images.iter_mut().chain(&mut t.clouds));
         let boards = self.calibration.iter_mut().chain(&mut self.evaluation).chain(moved);
-        whites.chain(&mut self.devignetting).chain(boards)
+        whites.chain(&mut self.devignetting).chain(&mut self.dark).chain(boards)
     }
 }
 
@@ -268,6 +288,7 @@ impl Project {
         let parsed = if set.is_empty() { toml::from_str(text) } else { table.clone().try_into() };
         let mut project: Self = parsed.map_err(wrong)?;
         project.check_step()?;
+        project.check_black()?;
         finite(&table)?;
         project.calibration = match table.remove("calibration") {
             Some(Value::Table(stated)) => CalibrationOptions::from_table(stated).map_err(|e| {
@@ -293,6 +314,16 @@ impl Project {
                  towards the camera, or leave [images.translation] out"
             ))),
             _ => Ok(()),
+        }
+    }
+
+    fn check_black(&self) -> Result<()> {
+        match self.images.as_ref().and_then(|images| images.dark.as_ref().zip(images.black_level)) {
+            Some(_) => Err(Error::invalid(
+                "[images] states both dark and black_level: the dark image gives the black level, so \
+                 leave black_level out",
+            )),
+            None => Ok(()),
         }
     }
 

@@ -82,7 +82,8 @@ pub fn read_raytrix(path: &Path) -> Result<RaytrixCalibration> {
 fn calibration(root: Node) -> Result<RaytrixCalibration> {
     if !root.has_tag_name("RayCalibData") {
         return Err(Error::invalid(format!(
-            "this is not a Raytrix calibration: its root is <{}>, not <RayCalibData>",
+            "this is not a Raytrix calibration: its root is <{}>, not <RayCalibData>. XML files of other cameras, such as TSPC, \
+             are not read: measure the array on a white image",
             root.tag_name().name()
         )));
     }

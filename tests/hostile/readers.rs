@@ -215,7 +215,7 @@ pub const TARGETS: [Target; 20] = [
         name: "what images say of themselves",
         file: "image.tif",
         seeds: corpus::images_with_notes,
-        read: |path| Ok(format!("{:?}", io::image_findings(&[path]))),
+        read: |path| Ok(format!("{:?}", io::ImageReader::default().findings(&[path]))),
     },
 ];
 

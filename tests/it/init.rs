@@ -100,6 +100,23 @@ fn the_project_of_a_simulated_set_works_for_precalibration_and_detection() {
     command.arg("--out").arg(folder.path().join("boards")).assert().success();
 }
 
+#[test]
+fn an_image_called_dark_becomes_the_dark_image() {
+    let folder = folder_of(&["white-n-8.png", "white-dark.png", "calib-1.png"]);
+    let out = folder.path().join("project.toml");
+    init(folder.path(), &out).args(["--preset", "mini", "--board", "8x5x3"]).assert().success();
+    let text = fs::read_to_string(&out).unwrap();
+    assert!(text.contains("\ndark = \"white-dark.png\""), "{text}");
+    assert_eq!(text.matches("[[images.whites]]").count(), 1);
+    write_image(&folder.path().join("darks/1.png"), 8, 6);
+    init(folder.path(), &out)
+        .arg("--force")
+        .assert()
+        .success()
+        .stdout(predicate::str::contains("[images] dark: which of the 2 images"));
+    assert!(!fs::read_to_string(&out).unwrap().contains("\ndark = "));
+}
+
 /// Images whose names say all kinds of things, and one file that is not an image.
 fn named_images() -> TempDir {
     let folder = folder_of(&[

@@ -16,6 +16,7 @@ mod floors;
 #[path = "../hostile/mod.rs"]
 mod hostile;
 mod house;
+mod image_input;
 mod init;
 #[cfg(unix)]
 mod interrupt;

@@ -96,7 +96,8 @@ fn refused(output: &Output) -> Option<i32> {
 fn said(stderr: &str) -> String {
     let told = |line: &&str| {
         // A message about TOML shows the line that is meant.
-        ["warning: ", "error: ", "  "].iter().any(|w| line.starts_with(w)) || line.contains(" | ")
+        ["warning: ", "note: ", "error: ", "  "].iter().any(|w| line.starts_with(w))
+            || line.contains(" | ")
     };
     stderr.lines().filter(told).flat_map(|line| [line, "\n"]).collect()
 }

@@ -81,8 +81,9 @@ pub fn of(case: &Case) -> Outcome {
 }
 
 fn told(stderr: &str) -> String {
-    let is_told =
-        |line: &&str| ["warning: ", "error: ", "  "].iter().any(|begins| line.starts_with(begins));
+    let is_told = |line: &&str| {
+        ["warning: ", "note: ", "error: ", "  "].iter().any(|begins| line.starts_with(begins))
+    };
     stderr.lines().filter(is_told).flat_map(|line| [line, "\n"]).collect()
 }
 

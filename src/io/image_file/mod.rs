@@ -1,9 +1,14 @@
 //! Image files.
 
+mod dark;
+mod foreign;
 mod icc;
 mod jpeg;
 mod notes;
+mod pages;
 mod png;
+mod raw;
+mod reader;
 mod scans;
 mod tags;
 #[cfg(test)]
@@ -21,15 +26,18 @@ use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{
     DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageFormat,
-    ImageReader,
+    ImageReader as FileReader,
 };
 
-use super::{open, read_bytes};
+use super::open;
 use crate::error::{Error, Result};
 use crate::image::{Color, RawImage, Samples};
 use crate::quantity::counted;
 
-pub use notes::image_findings;
+pub(super) use foreign::by_name as not_read;
+pub use pages::Pages;
+pub use raw::{Packing, RawLayout, is_raw};
+pub use reader::ImageReader;
 
 /// Largest size of the samples of an image, bytes.
 const LIMIT_BYTES: u64 = 512 << 20;
@@ -40,37 +48,73 @@ struct Decoded {
     height: usize,
     /// Grey or RGB.
     color: Color,
-    samples: Samples,
+    samples: Stored,
 }
 
-/// Reads a PNG, TIFF, BMP, PGM/PPM or JPEG file; transparency is ignored.
-///
-/// Samples have 8 or 16 bits. Samples of TIFF files may also be signed, have 32 or 64 bits, or be floating-point numbers, if
-/// they are grey levels from 0 to 65535; these are rounded to whole levels. Only the first of several pages is read.
-///
-/// `color` states the meaning of the samples; without it they are grey or RGB, as in the file. A file with three channels
-/// cannot be a colour mosaic, and one with a single channel cannot be RGB.
+/// Samples of a file.
+enum Stored {
+    Levels(Samples),
+    /// Numbers of a type that cameras do not deliver; true if they may have fractions.
+    Numbers(Vec<f64>, bool),
+}
+
+impl Stored {
+    fn count(&self) -> usize {
+        match self {
+            Self::Levels(Samples::Bits8(all)) => all.len(),
+            Self::Levels(Samples::Bits16(all)) => all.len(),
+            Self::Numbers(all, _) => all.len(),
+        }
+    }
+
+    /// Returns the bits of grey levels; `None` for other numbers.
+    fn bits(&self) -> Option<u32> {
+        match self {
+            Self::Levels(Samples::Bits8(_)) => Some(8),
+            Self::Levels(Samples::Bits16(_)) => Some(16),
+            Self::Numbers(..) => None,
+        }
+    }
+
+    /// Returns grey levels of 8 or 16 bits. An error states the remedy for numbers that are no grey levels.
+    fn into_levels(self) -> Result<Samples> {
+        match self {
+            Self::Levels(samples) => Ok(samples),
+            Self::Numbers(numbers, fractions) => tiff::as_levels(&numbers, fractions),
+        }
+    }
+
+    /// Returns a copy as grey levels, see [`Self::into_levels`].
+    fn levels(&self) -> Result<Samples> {
+        match self {
+            Self::Levels(samples) => Ok(samples.clone()),
+            Self::Numbers(numbers, fractions) => tiff::as_levels(numbers, *fractions),
+        }
+    }
+
+    /// Returns the samples as numbers, as they are.
+    fn into_numbers(self) -> Vec<f64> {
+        match self {
+            Self::Levels(Samples::Bits8(all)) => all.into_iter().map(f64::from).collect(),
+            Self::Levels(Samples::Bits16(all)) => all.into_iter().map(f64::from).collect(),
+            Self::Numbers(all, _) => all,
+        }
+    }
+}
+
+/// Reads an image with the [`ImageReader`] for this colour alone: one page, no dark image.
 pub fn read_image(path: &Path, color: Option<Color>) -> Result<RawImage> {
-    // Reading the whole file first separates errors of the disk from errors of the image.
-    image_of(&read_bytes(path)?, color).map_err(|e| e.in_file(path))
+    ImageReader::of_color(color).read(path)
 }
 
 /// Decodes the image in the bytes of a file.
 pub(super) fn image_of(bytes: &[u8], color: Option<Color>) -> Result<RawImage> {
-    decode(bytes).and_then(|decoded| interpreted(decoded, color))
+    pages::decoded(bytes, Pages::First).and_then(|decoded| interpreted(decoded, color))
 }
 
 /// Returns width and height, px, and grey or RGB, from the header of an image file.
 pub(super) fn format_of(path: &Path) -> Result<(u32, u32, Color)> {
     header_of(path).map(|(format, _)| format)
-}
-
-/// Returns the size of the samples of an image file in memory, bytes, from its header.
-pub fn image_bytes(path: &Path) -> Result<u64> {
-    let ((width, height, color), sample_bytes) = header_of(path)?;
-    // The product may overflow, since a header may state any size.
-    let pixels = u64::from(width) * u64::from(height);
-    Ok(pixels.saturating_mul(color.samples() as u64 * sample_bytes))
 }
 
 /// Width, height and colour, and bytes per sample.
@@ -101,7 +145,8 @@ fn header_of_others(mut file: File) -> Result<Header> {
     Ok(((width, height, color), sample_bytes))
 }
 
-fn decode(bytes: &[u8]) -> Result<Decoded> {
+/// Decodes a page, counted from 0 with smaller versions and masks. Only TIFF files have several pages.
+fn decode(bytes: &[u8], page: usize) -> Result<Decoded> {
     if bytes.is_empty() {
         return Err(Error::invalid("this image file is empty: copy it again"));
     }
@@ -113,7 +158,7 @@ fn decode(bytes: &[u8]) -> Result<Decoded> {
         }
     }
     if tags::Tags::of(Cursor::new(bytes)).is_some()
-        && let Some(decoded) = tiff::decode(bytes)?
+        && let Some(decoded) = tiff::decode(bytes, page)?
     {
         return Ok(decoded);
     }
@@ -129,9 +174,9 @@ fn decode(bytes: &[u8]) -> Result<Decoded> {
 }
 
 /// Returns a decoder for the format of a file, by its first bytes, and the name of the format.
-fn reader_of<R: io::BufRead + io::Seek>(file: R) -> Result<(ImageReader<R>, &'static str)> {
+fn reader_of<R: io::BufRead + io::Seek>(file: R) -> Result<(FileReader<R>, &'static str)> {
     let reader =
-        ImageReader::new(file).with_guessed_format().map_err(|e| unreadable("image", &e))?;
+        FileReader::new(file).with_guessed_format().map_err(|e| unreadable("image", &e))?;
     let name = match reader.format() {
         Some(ImageFormat::Png) => "PNG",
         Some(ImageFormat::Tiff) => "TIFF",
@@ -173,7 +218,7 @@ fn samples_of(decoded: DynamicImage) -> Result<Decoded> {
             )));
         }
     };
-    Ok(Decoded { width, height, color, samples })
+    Ok(Decoded { width, height, color, samples: Stored::Levels(samples) })
 }
 
 /// Returns the image as samples of this colour.
@@ -185,10 +230,7 @@ fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
         )));
     }
     // In a contradictory header, the decoder may use another part than this function.
-    let count = match &samples {
-        Samples::Bits8(samples) => samples.len(),
-        Samples::Bits16(samples) => samples.len(),
-    };
+    let count = samples.count();
     if width.checked_mul(height).and_then(|pixels| pixels.checked_mul(stored.samples()))
         != Some(count)
     {
@@ -209,7 +251,7 @@ fn interpreted(decoded: Decoded, color: Option<Color>) -> Result<RawImage> {
             )));
         }
     };
-    Ok(RawImage { width, height, color, samples })
+    Ok(RawImage { width, height, color, samples: samples.into_levels()? })
 }
 
 /// Creates the error for a file whose end is missing.

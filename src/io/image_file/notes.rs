@@ -1,5 +1,6 @@
 //! Declarations of image files that are reported but not applied: tone curves, orientation, pages.
 
+use std::collections::BTreeMap;
 use std::io::{self, BufReader, Cursor, Read, Seek};
 use std::path::Path;
 
@@ -7,7 +8,7 @@ use flate2::read::ZlibDecoder;
 use rayon::prelude::*;
 
 use super::tags::{Tags, tag};
-use super::{icc, jpeg, png, tiff};
+use super::{Pages, icc, jpeg, png, tiff};
 use crate::finding::{Finding, Issue};
 use crate::io::open;
 
@@ -22,6 +23,8 @@ const EXIF: &[u8] = b"Exif\0\0";
 const ICC: &[u8] = b"ICC_PROFILE\0";
 /// Value of `ColorSpace` in EXIF blocks for sRGB.
 const SRGB: u64 = 1;
+/// Orientation of an image that is neither rotated nor reflected.
+const UPRIGHT: u64 = 1;
 /// Value of `gAMA` for samples that are linear in light, which is also its unit.
 const LINEAR_GAMA: u32 = 100_000;
 
@@ -36,36 +39,56 @@ struct Notes {
     pages: usize,
 }
 
-/// Returns findings about image files that declare samples that are not linear in light, an orientation, or several pages. None
-/// of these is applied: samples and pixels are used as stored. A file that cannot be read gives no finding here, since reading
-/// it reports the reason.
-#[must_use]
-pub fn image_findings<P: AsRef<Path> + Sync>(images: &[P]) -> Vec<Finding> {
+/// Returns findings about the declarations of image files, and about the pages that are read; all pages of a dark image are.
+pub fn image_findings(
+    images: &[&Path],
+    pages: Pages,
+    is_dark: &(dyn Fn(&Path) -> bool + Sync),
+) -> Vec<Finding> {
     let notes: Vec<(String, Notes)> = images
         .par_iter()
-        .map(|path| (name(path.as_ref()), notes_of(path.as_ref()).unwrap_or_default()))
+        .map(|path| {
+            let notes = notes_of(path).unwrap_or_default();
+            let pages = if is_dark(path) { 1 } else { notes.pages };
+            (name(path), Notes { pages, ..notes })
+        })
         .collect();
     let of_curve = |(name, notes): &(String, Notes)| {
         notes.curve.clone().map(|profile| (name.clone(), profile))
     };
-    let of_orientation = |(name, notes): &(String, Notes)| {
-        notes.orientation.map(|orientation| (name.clone(), orientation))
-    };
     let of_pages =
         |(name, notes): &(String, Notes)| (notes.pages > 1).then(|| (name.clone(), notes.pages));
     let curves = first_of(notes.iter().filter_map(of_curve));
-    let turned = first_of(notes.iter().filter_map(of_orientation));
     let several = first_of(notes.iter().filter_map(of_pages));
     let issues = [
         curves.map(|(images, first, profile)| Issue::ImageProfile { images, first, profile }),
-        turned.map(|(images, first, orientation)| Issue::ImageOrientation {
-            images,
-            first,
-            orientation,
-        }),
-        several.map(|(images, first, pages)| Issue::SeveralPages { images, first, pages }),
+        orientation_issue(&notes),
     ];
-    issues.into_iter().flatten().map(Finding::caution).collect()
+    let several = several.map(|(images, first, count)| match pages {
+        Pages::First => Finding::caution(Issue::SeveralPages { images, first, pages: count }),
+        _ => {
+            Finding::note(Issue::PagesUsed { images, first, pages: count, used: pages.to_string() })
+        }
+    });
+    issues.into_iter().flatten().map(Finding::caution).chain(several).collect()
+}
+
+/// Returns the issue that images have orientation tags, or different ones.
+fn orientation_issue(notes: &[(String, Notes)]) -> Option<Issue> {
+    // Groups of images by orientation: their number and the first one.
+    let mut groups: BTreeMap<u64, (usize, String)> = BTreeMap::new();
+    for (name, notes) in notes {
+        let group = groups.entry(notes.orientation.unwrap_or(UPRIGHT));
+        group.or_insert_with(|| (0, name.clone())).0 += 1;
+    }
+    let (&orientation, (images, first)) = groups.iter().find(|(of, _)| **of != UPRIGHT)?;
+    let (images, first) = (*images, first.clone());
+    Some(if groups.len() == 1 {
+        Issue::ImageOrientation { images, first, orientation }
+    } else {
+        let groups = groups.into_iter().map(|(of, (images, first))| (of, images, first));
+        Issue::OrientationsDiffer { groups: groups.collect() }
+    })
 }
 
 /// Returns the number of items, and the first one.
@@ -90,13 +113,9 @@ fn notes_of(path: &Path) -> io::Result<Notes> {
 }
 
 fn of_tiff(mut tags: Tags<impl Read + Seek>) -> Notes {
-    let pages = tags.pages();
-    let mut is_image = |page: &super::tags::Page| {
-        let kind = page.entry(tag::SUBFILE_TYPE).and_then(|entry| tags.value(entry));
-        kind.unwrap_or(0) & (tiff::REDUCED | tiff::MASK) == 0
-    };
-    let count = pages.iter().filter(|page| is_image(page)).count();
-    let entry = |number: u16| pages.first().and_then(|page| page.entry(number));
+    let count = tiff::pages(&mut tags).len();
+    let first = tags.first();
+    let entry = |number: u16| first.as_ref().and_then(|page| page.entry(number));
     let profile = entry(tag::ICC_PROFILE).and_then(|entry| tags.content(entry));
     let orientation = entry(tag::ORIENTATION).and_then(|entry| tags.value(entry));
     Notes {

@@ -270,7 +270,7 @@ fn other_files_and_sizes_are_refused_with_a_reason() {
 
 fn codes(name: &str, bytes: &[u8]) -> Vec<Issue> {
     let (_folder, path) = file(name, bytes);
-    image_findings(&[path]).into_iter().map(|finding| finding.issue).collect()
+    ImageReader::default().findings(&[path]).into_iter().map(|finding| finding.issue).collect()
 }
 
 /// Creates a PNG file with a chunk after its first one; the reader ignores the checksum.

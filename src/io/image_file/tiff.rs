@@ -9,7 +9,9 @@ use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 
 use super::tags::{Page, Tags, tag};
-use super::{Decoded, LIMIT_BYTES, cut_off, is_end_of_file, too_large, unreadable, within_limit};
+use super::{
+    Decoded, LIMIT_BYTES, Stored, cut_off, is_end_of_file, too_large, unreadable, within_limit,
+};
 use crate::error::{Error, Result};
 use crate::image::{Color, Samples};
 
@@ -28,7 +30,7 @@ pub const MASK: u64 = 4;
 const LEAST_WITH_FRACTIONS: f64 = 1023.0;
 const MOST: f64 = 65_535.0;
 
-/// Description of the first page in its tags.
+/// Description of a page in its tags.
 struct Described {
     width: u64,
     height: u64,
@@ -42,9 +44,9 @@ struct Described {
     reduced: bool,
 }
 
-fn described(bytes: &[u8]) -> Option<(Described, [u8; 2])> {
+fn described(bytes: &[u8], page: usize) -> Option<(Described, [u8; 2])> {
     let mut tags = Tags::of(Cursor::new(bytes))?;
-    let page = tags.first()?;
+    let page = tags.pages().into_iter().nth(page)?;
     let mut all = |number: u16| page.entry(number).and_then(|entry| tags.values(entry));
     let mut one = |number: u16| all(number).and_then(|values| values.first().copied());
     let photometric = one(tag::PHOTOMETRIC);
@@ -115,9 +117,19 @@ fn is_grey(map: &[u64]) -> bool {
     map[..n] == map[n..2 * n] && map[..n] == map[2 * n..3 * n]
 }
 
-/// Decodes the first page; `None` if its colours are neither grey nor RGB.
-pub fn decode(bytes: &[u8]) -> Result<Option<Decoded>> {
-    let (of_page, black_is_zero) = described(bytes).ok_or_else(|| cut_off("TIFF"))?;
+/// Returns the places of the pages that are neither smaller versions nor masks.
+pub fn pages(tags: &mut Tags<impl std::io::Read + std::io::Seek>) -> Vec<usize> {
+    let pages = tags.pages();
+    let mut is_image = |page: &Page| {
+        let kind = page.entry(tag::SUBFILE_TYPE).and_then(|entry| tags.value(entry));
+        kind.unwrap_or(0) & (REDUCED | MASK) == 0
+    };
+    pages.iter().enumerate().filter(|(_, page)| is_image(page)).map(|(place, _)| place).collect()
+}
+
+/// Decodes a page; `None` if its colours are neither grey nor RGB.
+pub fn decode(bytes: &[u8], page: usize) -> Result<Option<Decoded>> {
+    let (of_page, black_is_zero) = described(bytes, page).ok_or_else(|| cut_off("TIFF"))?;
     if of_page.reduced {
         return Err(Error::invalid(
             "the first page of this TIFF file is a preview, as in raw files of photo cameras: save the whole image as PNG \
@@ -147,6 +159,7 @@ pub fn decode(bytes: &[u8]) -> Result<Option<Decoded>> {
         error => unreadable("TIFF", &error),
     };
     let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(wrong)?.with_limits(limits());
+    decoder.seek_to_image(page).map_err(wrong)?;
     let (channels, kept, color) = match decoder.colortype().map_err(wrong)? {
         ColorType::Gray(_) => (1, 1, Color::Grey),
         ColorType::Multiband { num_samples, .. } => (usize::from(num_samples), 1, Color::Grey),
@@ -172,13 +185,14 @@ pub fn decode(bytes: &[u8]) -> Result<Option<Decoded>> {
     let samples = if of_page.bits < 8 {
         let DecodingResult::U8(packed) = buffer else { return Ok(None) };
         let levels = unpacked(&packed, width * channels.in_row(), of_page.bits);
-        Samples::Bits8(channels.of(&stretched(levels, of_page.bits, of_page.palette.is_some())))
+        let levels = stretched(levels, of_page.bits, of_page.palette.is_some());
+        Stored::Levels(Samples::Bits8(channels.of(&levels)))
     } else {
-        levels(buffer, &channels)?
+        levels(buffer, &channels)
     };
     let decoded = Decoded { width, height, color, samples };
     match of_page.palette {
-        Some((map, _)) => colored(&decoded, &map).map(Some),
+        Some((map, _)) => colored(decoded, &map).map(Some),
         None => Ok(Some(decoded)),
     }
 }
@@ -250,19 +264,21 @@ fn stretched(mut levels: Vec<u8>, bits: u64, is_palette: bool) -> Vec<u8> {
     levels
 }
 
-/// Converts samples to grey levels of 8 or 16 bits.
-fn levels(buffer: DecodingResult, channels: &Channels) -> Result<Samples> {
-    let whole = |numbers: Vec<f64>| as_levels(&numbers, "whole numbers", false);
-    let fractions = |numbers: Vec<f64>| as_levels(&numbers, "floating-point numbers", true);
+/// Returns the samples of the kept channels.
+fn levels(buffer: DecodingResult, channels: &Channels) -> Stored {
+    let whole = |numbers: Vec<f64>| Stored::Numbers(numbers, false);
+    let fractions = |numbers: Vec<f64>| Stored::Numbers(numbers, true);
+    let of_8_bits = |all| Stored::Levels(Samples::Bits8(all));
+    let of_16_bits = |all| Stored::Levels(Samples::Bits16(all));
     match buffer {
         DecodingResult::U8(all) if channels.kept == channels.channels && !channels.planar => {
-            Ok(Samples::Bits8(all))
+            of_8_bits(all)
         }
-        DecodingResult::U8(all) => Ok(Samples::Bits8(channels.of(&all))),
+        DecodingResult::U8(all) => of_8_bits(channels.of(&all)),
         DecodingResult::U16(all) if channels.kept == channels.channels && !channels.planar => {
-            Ok(Samples::Bits16(all))
+            of_16_bits(all)
         }
-        DecodingResult::U16(all) => Ok(Samples::Bits16(channels.of(&all))),
+        DecodingResult::U16(all) => of_16_bits(channels.of(&all)),
         #[allow(clippy::cast_precision_loss)] // far above what is accepted
         DecodingResult::U64(all) => whole(channels.numbers(&all, |n| n as f64)),
         #[allow(clippy::cast_precision_loss)]
@@ -279,7 +295,7 @@ fn levels(buffer: DecodingResult, channels: &Channels) -> Result<Samples> {
 
 /// Converts numbers of a type that cameras do not use to grey levels, by rounding to whole levels. An error states the remedy
 /// for numbers that no camera delivers.
-fn as_levels(numbers: &[f64], kind: &str, rounded: bool) -> Result<Samples> {
+pub fn as_levels(numbers: &[f64], fractions: bool) -> Result<Samples> {
     let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
     for &number in numbers {
         if !number.is_finite() {
@@ -293,8 +309,9 @@ fn as_levels(numbers: &[f64], kind: &str, rounded: bool) -> Result<Samples> {
     if least.round() < 0.0 {
         return Err(Error::invalid(format!(
             "the samples of this TIFF file go down to {least} (a subtracted dark image?), but grey \
-             levels begin at 0: add the same number to all images, {same}, and state it as \
-             black_level in [images]"
+             levels begin at 0: give the images as the camera delivered them and state the dark \
+             image as dark in [images], or add the same number to all images, {same}, and state it \
+             as black_level in [images]"
         )));
     }
     if most.round() > MOST {
@@ -303,10 +320,10 @@ fn as_levels(numbers: &[f64], kind: &str, rounded: bool) -> Result<Samples> {
              number, and {same}"
         )));
     }
-    if rounded && most < LEAST_WITH_FRACTIONS {
+    if fractions && most < LEAST_WITH_FRACTIONS {
         return Err(Error::invalid(format!(
-            "the samples of this TIFF file are {kind} from {least} to {most}, and full scale is \
-             not known: multiply them by 257 if they are grey levels of 8 bits, or by 65535 if \
+            "the samples of this TIFF file are floating-point numbers from {least} to {most}, and \
+             full scale is not known: multiply them by 257 if they are grey levels of 8 bits, or by 65535 if \
              they go from 0 to 1, and {same}"
         )));
     }
@@ -315,16 +332,16 @@ fn as_levels(numbers: &[f64], kind: &str, rounded: bool) -> Result<Samples> {
 }
 
 /// Replaces the numbers of colours by the colours of a palette; grey if all colours of the palette are.
-fn colored(numbers: &Decoded, map: &[u64]) -> Result<Decoded> {
+fn colored(numbers: Decoded, map: &[u64]) -> Result<Decoded> {
     let colors = map.len() / 3;
     // Colours have 8 bits if they use the upper byte alone or the same value in both bytes; otherwise 16 bits.
     let eight = map.iter().all(|level| level % 256 == 0)
         || map.iter().all(|level| level % 256 == level / 256);
     let color = if is_grey(map) { Color::Grey } else { Color::Rgb };
-    let pixels: Vec<usize> = match &numbers.samples {
-        Samples::Bits8(all) => all.iter().map(|&n| usize::from(n)).collect(),
-        Samples::Bits16(all) => all.iter().map(|&n| usize::from(n)).collect(),
-    };
+    let (width, height) = (numbers.width, numbers.height);
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // of 16 bits at most
+    let pixels: Vec<usize> =
+        numbers.samples.into_numbers().into_iter().map(|number| number as usize).collect();
     if pixels.iter().any(|&number| number >= colors) {
         return Err(Error::invalid(
             "this TIFF file has a pixel outside its palette: save it without a palette",
@@ -338,5 +355,5 @@ fn colored(numbers: &Decoded, map: &[u64]) -> Result<Decoded> {
     } else {
         Samples::Bits16(levels.map(|level| level as u16).collect())
     };
-    Ok(Decoded { width: numbers.width, height: numbers.height, color, samples })
+    Ok(Decoded { width, height, color, samples: Stored::Levels(samples) })
 }
