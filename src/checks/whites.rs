@@ -23,8 +23,8 @@ const UNEVEN: f64 = 0.03;
 /// Largest relative decrease of the width of micro-images at the corners of the image. Real lenses at their full aperture have
 /// 0 to 0.01 without a second stop.
 const NARROW: f64 = 0.02;
-/// Largest difference of the cell share from that of the shape; half of it changes the width of a hexagon by 1.4 %.
-const SHARE: f64 = 0.25;
+/// Largest distance of the cell share from 0.5 that belongs to neither shape. Clipped samples raise the share of cells to 1.3.
+const BETWEEN: f64 = 0.25;
 /// Smallest difference of the cell share that counts, in σ.
 const SHARE_STD_DEVS: f64 = 3.0;
 /// Smallest decrease that counts, in σ.
@@ -132,12 +132,11 @@ pub(crate) fn opening(
     let Some(share) = cell_share else { return (stated.unwrap_or_default(), None) };
     let measured = if share.value > 0.5 { cell } else { Opening::Disc };
     let taken = stated.unwrap_or(measured);
-    let expected = if taken == Opening::Disc { 0.0 } else { 1.0 };
-    let off = (share.value - expected).abs();
+    let from_middle = (share.value - 0.5).abs();
     let is_clear = |distance: f64| distance > SHARE_STD_DEVS * share.std_dev;
-    let issue = if taken != measured && is_clear((share.value - 0.5).abs()) {
+    let issue = if taken != measured && is_clear(from_middle) {
         Issue::OpeningContradicted { stated: taken, cell, share }
-    } else if off > SHARE && is_clear(off) {
+    } else if from_middle < BETWEEN && is_clear(0.5 - from_middle) {
         Issue::OpeningBetween { taken, cell, share }
     } else {
         return (taken, None);
@@ -185,6 +184,25 @@ pub(crate) fn array(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_cell_share_decides_unless_the_shape_is_stated() {
+        let kind = LatticeKind::HexagonalRows;
+        for (stated, share, taken, code) in [
+            (None, 0.02, Opening::Disc, None),
+            (None, 1.26, Opening::Hexagon, None),
+            (None, 0.6, Opening::Hexagon, Some("opening-between")),
+            (Some(Opening::Disc), 0.97, Opening::Disc, Some("opening-contradicted")),
+            (Some(Opening::Hexagon), 0.97, Opening::Hexagon, None),
+        ] {
+            let (found, finding) = opening(stated, kind, Some(Estimate::new(share, 0.03)));
+            let found_code = finding.map(|finding| finding.issue.code());
+            assert_eq!((found, found_code), (taken, code), "{stated:?} {share}");
+        }
+        let unsure = Some(Estimate::new(0.6, 0.2));
+        assert_eq!(opening(None, kind, unsure), (Opening::Hexagon, None));
+        assert_eq!(opening(None, kind, None), (Opening::Disc, None));
+    }
 
     #[test]
     fn stray_light_contradicts_no_black_level_but_darker_places_do() {
