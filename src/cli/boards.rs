@@ -118,9 +118,13 @@ impl Shoot {
         if (subtracted - stated).abs() < SAME {
             return Ok(());
         }
+        let given = match &self.images.dark {
+            Some(dark) => format!("the dark image {} gives {stated}", dark.display()),
+            None => format!("[images] says black_level = {stated}"),
+        };
         Err(Error::invalid(format!(
-            "it was measured with a black level of {subtracted}, but [images] gives {stated} (by \
-             black_level or the dark image): run `plenocal precalibrate` again"
+            "it was measured with a black level of {subtracted}, but {given}: run `plenocal \
+             precalibrate` again"
         )))
     }
 }
