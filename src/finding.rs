@@ -10,7 +10,6 @@ use std::path::PathBuf;
 use serde::ser::SerializeStruct;
 use serde::{Serialize, Serializer};
 
-use crate::model::Opening;
 use crate::quantity::{Estimate, counted, display_unit, fixed, fixed_signed};
 
 /// Consequence of a finding for the camera.
@@ -367,12 +366,12 @@ issues! {
         format!("the micro-images of the boards overlap at f/{f_number:.2} by {:.0} % of their radius: corners are measured only where a single micro-lens lights the sensor", 100.0 * part),
         format!("stop down: micro-images do not overlap from f/{apart:.1} upwards");
     /// The white images show other openings than stated.
-    OpeningContradicted "opening-contradicted" { stated: Opening, cell: Opening, share: Estimate } =>
-        format!("the openings of the micro-lenses are stated to be {}s, but white images show a cell share of {:.2} ± {:.2} instead (0 for discs, 1 for {}s)", stated.name(), share.value, share.std_dev, cell.name()),
+    OpeningContradicted "opening-contradicted" { stated: &'static str, cell: &'static str, share: Estimate } =>
+        format!("the openings of the micro-lenses are stated to be {}s, but white images show a cell share of {:.2} ± {:.2} instead (0 for discs, 1 for {}s)", stated, share.value, share.std_dev, cell),
         "leave out opening in [micro_lens_array], or correct it";
     /// The openings are neither discs nor cells.
-    OpeningBetween "opening-between" { taken: Opening, cell: Opening, share: Estimate } =>
-        format!("the openings of the micro-lenses are neither discs nor {}s: white images show a cell share of {:.2} ± {:.2} (0 for discs, 1 for {}s). They are taken for {}s, and fᵢ may be off by 2 %", cell.name(), share.value, share.std_dev, cell.name(), taken.name()),
+    OpeningBetween "opening-between" { taken: &'static str, cell: &'static str, share: Estimate } =>
+        format!("the openings of the micro-lenses are neither discs nor {}s: white images show a cell share of {:.2} ± {:.2} (0 for discs, 1 for {}s). They are taken for {}s, and fᵢ may be off by 2 %", cell, share.value, share.std_dev, cell, taken),
         "state the shape if it is known: opening in [micro_lens_array]";
     /// The white image of the boards was taken at another aperture than stated.
     ApertureContradicted "aperture-contradicted" { f_number: f64, radius_px: f64, expected_px: f64, looks_like: f64 } =>

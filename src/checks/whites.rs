@@ -135,9 +135,9 @@ pub(crate) fn opening(
     let from_middle = (share.value - 0.5).abs();
     let is_clear = |distance: f64| distance > SHARE_STD_DEVS * share.std_dev;
     let issue = if taken != measured && is_clear(from_middle) {
-        Issue::OpeningContradicted { stated: taken, cell, share }
+        Issue::OpeningContradicted { stated: taken.name(), cell: cell.name(), share }
     } else if from_middle < BETWEEN && is_clear(0.5 - from_middle) {
-        Issue::OpeningBetween { taken, cell, share }
+        Issue::OpeningBetween { taken: taken.name(), cell: cell.name(), share }
     } else {
         return (taken, None);
     };

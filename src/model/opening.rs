@@ -2,7 +2,6 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use clap::ValueEnum;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +9,7 @@ use super::lattice::LatticeKind;
 use crate::error::{Error, Result};
 
 /// Shape of the opening (clear aperture) of a micro-lens. Its width between parallel sides is the diameter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Opening {
     /// Disc.
