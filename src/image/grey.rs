@@ -109,7 +109,7 @@ impl RawImage {
     fn channel_gains(&self, range: (f64, f64)) -> [f32; 3] {
         let mut sums = [(0.0, 0.0); 3];
         if self.color != Color::Grey {
-            self.compared(range, |place| {
+            self.compared(range, |_, place| {
                 for &(channel, part) in place {
                     sums[channel].0 += part;
                     sums[channel].1 += 1.0;

@@ -90,21 +90,44 @@ impl RawImage {
 
     /// Returns the means of the samples at even and odd columns of even rows, then of odd rows, over places
     /// where none is saturated or dark, as fractions of the range of the image; `None` if there are no
-    /// such places. Behind a colour mosaic they differ, except for the two greens; in a grey image they
-    /// do not.
+    /// such places. Places where light rises and falls have equal weights. Behind a colour mosaic the
+    /// means differ, except for the two greens; in a grey image they do not.
     #[must_use]
     pub fn parity_means(&self) -> Option<[f64; 4]> {
         if self.color == Color::Rgb {
             return None;
         }
-        let (mut sums, mut count) = ([0.0; 4], 0.0);
-        self.compared(self.range(None), |square| {
-            count += 1.0;
-            for (sum, &(_, part)) in sums.iter_mut().zip(square) {
+        let (mut sums, mut counts) = ([[0.0; 4]; 4], [0.0; 4]);
+        self.compared(self.range(None), |(u, v), square| {
+            let falls = |before: Option<f64>, after: Option<f64>| {
+                usize::from(before.zip(after).is_some_and(|(before, after)| before > after))
+            };
+            let along = u.checked_sub(2).and_then(|before| self.square(before, v));
+            let across = v.checked_sub(2).and_then(|before| self.square(u, before));
+            let direction =
+                2 * falls(along, self.square(u + 2, v)) + falls(across, self.square(u, v + 2));
+            counts[direction] += 1.0;
+            for (sum, &(_, part)) in sums[direction].iter_mut().zip(square) {
                 *sum += part;
             }
         });
-        (count > 0.0).then(|| sums.map(|sum| sum / count))
+        // Light that rises and falls by chance unequally often would look like a mosaic.
+        let directions = counts.iter().filter(|count| **count > 0.0).count() as f64;
+        let weights =
+            counts.map(|count| if count > 0.0 { 1.0 / (count * directions) } else { 0.0 });
+        let mean = |i: usize| sums.iter().zip(weights).map(|(sum, weight)| sum[i] * weight).sum();
+        (directions > 0.0).then(|| [0, 1, 2, 3].map(mean))
+    }
+
+    /// Returns the sum of the four samples from (u, v) on; `None` beyond the border.
+    fn square(&self, u: usize, v: usize) -> Option<f64> {
+        let at = |index: usize| match &self.samples {
+            Samples::Bits8(samples) => f64::from(samples[index]),
+            Samples::Bits16(samples) => f64::from(samples[index]),
+        };
+        let (first, next) = (v * self.width + u, (v + 1) * self.width + u);
+        let inside = u + 1 < self.width && v + 1 < self.height;
+        inside.then(|| at(first) + at(first + 1) + at(next) + at(next + 1))
     }
 
     /// Returns true if a white image with one sample per pixel seems to be behind a colour mosaic; `None`
@@ -129,10 +152,10 @@ impl RawImage {
         greens_differ.then_some(Issue::WrongMosaic)
     }
 
-    /// Calls `visit` with the channels and samples, as fractions of a range, of many places all
-    /// over the image where none is saturated or dark: pixels of an RGB image, squares of four
-    /// pixels of any other.
-    fn compared(&self, range: (f64, f64), visit: impl FnMut(&[(usize, f64)])) {
+    /// Calls `visit` with the first pixel (u, v), the channels and the samples, as fractions of a
+    /// range, of many places all over the image where none is saturated or dark: pixels of an RGB
+    /// image, squares of four pixels of any other.
+    fn compared(&self, range: (f64, f64), visit: impl FnMut((usize, usize), &[(usize, f64)])) {
         match &self.samples {
             Samples::Bits8(samples) => self.compared_of(samples, range, visit),
             Samples::Bits16(samples) => self.compared_of(samples, range, visit),
@@ -143,12 +166,12 @@ impl RawImage {
         &self,
         samples: &[T],
         (black, white): (f64, f64),
-        mut visit: impl FnMut(&[(usize, f64)]),
+        mut visit: impl FnMut((usize, usize), &[(usize, f64)]),
     ) {
         let part = |sample: T| (sample.into() - black) / (white - black);
-        let mut visit_usable = |place: &[(usize, f64)]| {
+        let mut visit_usable = |at: (usize, usize), place: &[(usize, f64)]| {
             if place.iter().all(|(_, part)| (NEARLY_DARK..NEARLY_FULL).contains(part)) {
-                visit(place);
+                visit(at, place);
             }
         };
         let per_row = self.width * self.color.samples();
@@ -158,21 +181,25 @@ impl RawImage {
         let step = (self.height / (2 * COMPARED)).max(1);
         let channel = |u, v| self.color.mosaic(u, v).unwrap_or_default();
         let square = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(u, v)| channel(u, v));
-        for rows in samples.chunks_exact(2 * per_row).step_by(step) {
+        for (pair, rows) in samples.chunks_exact(2 * per_row).enumerate().step_by(step) {
+            let v = 2 * pair;
             if self.color == Color::Rgb {
-                for rgb in rows.chunks_exact(3) {
-                    visit_usable(&[(0, part(rgb[0])), (1, part(rgb[1])), (2, part(rgb[2]))]);
+                for (i, rgb) in rows.chunks_exact(3).enumerate() {
+                    let at = (i % self.width, v + i / self.width);
+                    visit_usable(at, &[(0, part(rgb[0])), (1, part(rgb[1])), (2, part(rgb[2]))]);
                 }
                 continue;
             }
             let (upper, lower) = rows.split_at(per_row);
-            for (upper, lower) in upper.chunks_exact(2).zip(lower.chunks_exact(2)) {
-                visit_usable(&[
+            for (i, (upper, lower)) in upper.chunks_exact(2).zip(lower.chunks_exact(2)).enumerate()
+            {
+                let four = [
                     (square[0], part(upper[0])),
                     (square[1], part(upper[1])),
                     (square[2], part(lower[0])),
                     (square[3], part(lower[1])),
-                ]);
+                ];
+                visit_usable((2 * i, v), &four);
             }
         }
     }
@@ -278,6 +305,24 @@ mod tests {
                 assert!(image.to_grey().pixels.is_empty());
             }
         }
+    }
+
+    /// Saturated micro-images show only their edges, and more rising than falling ones by chance.
+    #[test]
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // from 0 to 255
+    fn edges_alone_are_no_mosaic() {
+        let (pitch, row) = (24.1, 24.1 * 0.75_f64.sqrt());
+        let light = |n: usize| {
+            let (u, v) = ((n % 300) as f64 - 0.5, (n / 300) as f64);
+            let l = (v / row).round();
+            let shift = 0.5 * l.rem_euclid(2.0);
+            let k = (u / pitch - shift).round() + shift;
+            let off = (u - k * pitch).hypot(v - l * row);
+            ((8.0 - off) / 2.5 * 255.0 + 128.0).clamp(0.0, 255.0).round() as u8
+        };
+        let samples = Samples::Bits8((0..300 * 200).map(light).collect());
+        let image = RawImage { width: 300, height: 200, color: Color::Grey, samples };
+        assert_eq!(image.shows_mosaic(), Some(false), "{:?}", image.parity_means());
     }
 
     #[test]
