@@ -405,6 +405,10 @@ issues! {
     StretchedArray "stretched-array" { stretch: f64 } =>
         format!("its lattice is {:.2} % longer along one direction than across it, as if the pixels were not square", 100.0 * stretch),
         "give the images as the camera delivers them, and do not resize them";
+    /// Many micro-images of the array are not used.
+    MicroImagesLeftOut "micro-images-left-out" { dark: usize, misplaced: usize, all: usize } =>
+        format!("{} of {all} micro-images are not used ({dark} dark, {misplaced} off the grid)", dark + misplaced),
+        "if more than these show light, give a sharper, evenly lit white image";
     /// Most pixels of a white image are saturated.
     OverExposed "over-exposed" { full: f64 } =>
         format!("{:.0} % of its pixels are saturated", 100.0 * full),

@@ -18,6 +18,11 @@ const IRREGULAR: f64 = 0.025;
 /// Largest relative difference of the pitch along two directions, if pixels are square; four real arrays have 0.6, 0.7, 1.5 and
 /// 3.5 in 10⁴.
 const STRETCHED: f64 = 1e-3;
+/// Largest error of the places of micro-lenses in real arrays, RMS in pitches. The places may also be stretched as a whole by
+/// this much: a microscope's array of 28 x 28 behind square pixels is stretched by 0.0015, which moves its centres by 0.008.
+const PLACED: f64 = 0.012;
+/// Largest part of the micro-images of an array that may be left out: dust and scratches take less.
+const LEFT_OUT: f64 = 0.01;
 /// Largest part of the micro-images of a white image that are not about as bright as their neighbours.
 const UNEVEN: f64 = 0.03;
 /// Largest relative decrease of the width of micro-images at the corners of the image. Real lenses at their full aperture have
@@ -161,21 +166,46 @@ pub(crate) fn not_linear(power: f64) -> Finding {
     Finding::caution(Issue::NotLinear { power })
 }
 
+/// Stretch of a lattice along one direction.
+pub(crate) struct Stretch {
+    /// Length along this direction over the length across it, less 1.
+    pub relative: f64,
+    /// Root mean square distance by which it moves centres, in pitches.
+    pub moved: f64,
+    /// Root mean square distance of the centres from the stretched lattice, in pitches.
+    pub scatter: f64,
+}
+
+impl Stretch {
+    /// Returns true if it is neither within the irregularity of arrays nor within that of this one. The latter may be smooth, as
+    /// by a distortion, and pass for a stretch of a small array.
+    fn counts(&self) -> bool {
+        self.relative > STRETCHED && self.moved > PLACED.max(self.scatter)
+    }
+}
+
+/// Finds micro-images of an array that gave no centre: of `dark` and `misplaced` ones beside `measured` ones.
+pub(crate) fn left_out(measured: usize, dark: usize, misplaced: usize) -> Option<Finding> {
+    let all = measured + dark + misplaced;
+    let many = (dark + misplaced) as f64 > LEFT_OUT * all as f64;
+    many.then(|| Finding::note(Issue::MicroImagesLeftOut { dark, misplaced, all }))
+}
+
 /// Finds an image that is no white image, over-exposed, or not regular. The values are the part of its micro-images that are
-/// not as bright as their neighbours, the root mean square distance from the grid, the relative stretch of the lattice along
-/// one direction, and the part of saturated pixels.
+/// not as bright as their neighbours, the root mean square distance from the grid and the pitch, the stretch of the lattice, and
+/// the part of saturated pixels.
 pub(crate) fn array(
     uneven: f64,
     (rms_px, pitch_px): (f64, f64),
-    stretch: Option<f64>,
+    stretch: Option<Stretch>,
     full: f64,
 ) -> Vec<Finding> {
     let not_white = (uneven > UNEVEN).then_some(Issue::NotWhite { uneven });
     let irregular =
         (rms_px > IRREGULAR * pitch_px).then_some(Issue::IrregularArray { rms_px, pitch_px });
     let stretched = stretch
-        .filter(|stretch| *stretch > STRETCHED)
-        .map(|stretch| Issue::StretchedArray { stretch });
+        .filter(Stretch::counts)
+        .map(|stretch| Issue::StretchedArray { stretch: stretch.relative });
     let over_exposed = (full > MOSTLY_FULL).then_some(Issue::OverExposed { full });
     let issues = [not_white, irregular, stretched, over_exposed];
     issues.into_iter().flatten().map(Finding::caution).collect()

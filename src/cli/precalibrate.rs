@@ -23,8 +23,9 @@ use super::progress;
 
 /// Measure the micro-image array and the internal parameters on white images.
 ///
-/// Pitch, orientation, packing and lens types are found from the images. Give a project file that
-/// lists them with their f-numbers, or a single white image to measure its array alone.
+/// Pitch (5 to 360 px), orientation, packing and lens types are found from the images. Give a
+/// project file that lists them with their f-numbers, or a single white image to measure its array
+/// alone.
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use nalgebra::{Matrix2, Vector2};
 
 use super::array::ArrayMeasurement;
-use crate::checks::whites::{self as checks, MOSTLY_FULL};
+use crate::checks::whites::{self as checks, MOSTLY_FULL, Stretch};
 use crate::error::Error;
 use crate::finding::Finding;
 use crate::image::{Grey, Image, RawImage};
@@ -37,30 +37,40 @@ fn full_part(image: &Image) -> f64 {
 pub fn array_findings(array: &ArrayMeasurement, image: &RawImage) -> Vec<Finding> {
     let (grid, image) = (&array.grid, image.to_grey());
     let (full, uneven) = (full_part(&image), uneven_part(array, &image));
-    checks::array(uneven, (grid.rms_px, grid.pitch_px), stretch(array), full)
+    let of_array = checks::array(uneven, (grid.rms_px, grid.pitch_px), stretch(array), full);
+    let out = &array.left_out;
+    of_array
+        .into_iter()
+        .chain(checks::left_out(array.centers.len(), out.dark, out.misplaced))
+        .collect()
 }
 
-/// Returns the fraction by which the lattice is longer along one direction than across it, from the linear map of a
-/// regular lattice to the centres (least squares). Returns `None` for too few centres.
-fn stretch(array: &ArrayMeasurement) -> Option<f64> {
-    let lattice = &array.grid.lattice;
-    let pairs = || {
-        let of = |c: &MicroImageCenter| (lattice.node(c.k, c.l), Vector2::new(c.u_px, c.v_px));
-        array.centers.iter().map(of)
+/// Measures how much longer the lattice is along one direction than across it, from the linear map of a regular lattice to
+/// the centres without their perspective (least squares). Returns `None` for too few centres.
+fn stretch(array: &ArrayMeasurement) -> Option<Stretch> {
+    let grid = &array.grid;
+    let of = |c: &MicroImageCenter| {
+        let place = Vector2::new(c.u_px, c.v_px);
+        (grid.lattice.node(c.k, c.l), grid.without_perspective(&place) / grid.pitch_px)
     };
-    let count = array.centers.len().max(1) as f64;
-    let (from, to) = pairs().fold((Vector2::zeros(), Vector2::zeros()), |(a, b), (x, y)| {
-        (a + x / count, b + y / count)
-    });
-    let (squares, products) = pairs().fold(
-        (Matrix2::zeros(), Matrix2::zeros()),
-        |(squares, products): (Matrix2<f64>, Matrix2<f64>), (x, y)| {
-            let (x, y) = (x - from, y - to);
-            (squares + x * x.transpose(), products + y * x.transpose())
-        },
-    );
-    let sizes = (products * squares.try_inverse()?).singular_values();
-    (sizes.min() > 0.0).then(|| sizes.max() / sizes.min() - 1.0)
+    let pairs: Vec<(Vector2<f64>, Vector2<f64>)> = array.centers.iter().map(of).collect();
+    let count = pairs.len().max(1) as f64;
+    let sum =
+        pairs.iter().fold((Vector2::zeros(), Vector2::zeros()), |(a, b), (x, y)| (a + x, b + y));
+    let (from, to) = (sum.0 / count, sum.1 / count);
+    let (mut squares, mut products) = (Matrix2::zeros(), Matrix2::zeros());
+    for (x, y) in &pairs {
+        squares += (x - from) * (x - from).transpose();
+        products += (y - to) * (x - from).transpose();
+    }
+    let map = products * squares.try_inverse()?;
+    let off = |(x, y): &(Vector2<f64>, Vector2<f64>)| (y - to - map * (x - from)).norm_squared();
+    let scatter = (pairs.iter().map(off).sum::<f64>() / count).sqrt();
+    let sizes = map.singular_values();
+    let relative = (sizes.min() > 0.0).then(|| sizes.max() / sizes.min() - 1.0)?;
+    // It moves one half of the centres outwards, the other inwards.
+    let moved = relative / 2.0 * (squares.trace() / count).sqrt();
+    Some(Stretch { relative, moved, scatter })
 }
 
 /// Returns the fraction of the micro-images that are not about as bright as their neighbours.

@@ -10,7 +10,7 @@ use super::grid::{MicroImageArray, fit_grid};
 use super::indexing::Indexing;
 use super::lens_types::judge_single;
 use super::micro_image_status::{LeftOut, judge, lit_nodes};
-use super::pattern::{Pattern, find_pattern, of_steps};
+use super::pattern::{PITCHES, Pattern, find_patterns, of_steps};
 use crate::error::{Error, Result};
 use crate::image::{Grey, RawImage};
 use crate::model::{Lattice, LatticeKind, MicroImageCenter};
@@ -20,8 +20,10 @@ use crate::model::{Lattice, LatticeKind, MicroImageCenter};
 const MISPLACED: f64 = 6.0;
 /// Addition to this distance, px: on a nearly perfect grid a hundredth of a pixel is no fault.
 const MISPLACED_PX: f64 = 0.05;
-/// Least fraction of the variance of an image that a pattern of micro-images explains.
-const PATTERN: f64 = 0.1;
+
+/// Part of the micro-images of an array in a grid above which its pattern is right. Of a lattice that is too fine, at most half
+/// of the nodes show light.
+const MOST: f64 = 0.5;
 
 /// Finds and measures all micro-images of a white image, from the image alone.
 ///
@@ -61,10 +63,12 @@ pub fn lattice_orientation(steps: &Matrix2<f64>) -> Result<(LatticeKind, f64, Ma
 }
 
 fn known(steps: &Matrix2<f64>) -> Result<Pattern> {
-    of_steps(steps).ok_or_else(|| {
-        Error::invalid(
-            "its steps form neither a hexagonal nor a square lattice with a pitch from 5 to 90 px",
-        )
+    of_steps(steps, &PITCHES).ok_or_else(|| {
+        Error::invalid(format!(
+            "its steps form neither a hexagonal nor a square lattice with a pitch from {} to {} px",
+            PITCHES.start(),
+            PITCHES.end()
+        ))
     })
 }
 
@@ -77,18 +81,46 @@ pub(super) fn found_array(
     search(image, known, stated).map_err(|error| over_exposed(image).unwrap_or(error))
 }
 
+/// Tries the `known` pattern, then those of the image, until one continues over the image and most of its micro-images form
+/// a grid. Otherwise it takes the pattern with the largest part of its micro-images in a grid.
 fn search(image: &Grey, known: Option<Pattern>, stated: Option<(i32, i32)>) -> Result<FoundArray> {
-    let (pattern, blobs) = find(image, known)?;
+    let mut best: Option<Result<FoundArray>> = None;
+    let used = |found: &Result<FoundArray>| found.as_ref().map_or(-1.0, |f| used_part(&f.array));
+    for pattern in known.into_iter().chain(patterns(image)) {
+        let Some((pattern, blobs)) = measure(image, &pattern) else { continue };
+        let found = of_pattern(image, pattern, blobs, stated);
+        if used(&found) >= MOST {
+            return found;
+        }
+        if best.as_ref().is_none_or(|best| used(&found) > used(best)) {
+            best = Some(found);
+        }
+    }
+    best.unwrap_or_else(|| Err(no_pattern()))
+}
+
+/// Returns the part of the micro-images of an array, without those that the border of the image cuts, that gave a centre.
+fn used_part(array: &ArrayMeasurement) -> f64 {
+    let (used, out) = (array.centers.len(), &array.left_out);
+    used as f64 / (used + out.dark + out.saturated + out.misplaced).max(1) as f64
+}
+
+/// Indexes the micro-images of a pattern, and fits the grid to them.
+fn of_pattern(
+    image: &Grey,
+    pattern: Pattern,
+    blobs: Vec<Blob>,
+    stated: Option<(i32, i32)>,
+) -> Result<FoundArray> {
     let statuses = judge(image, &pattern, &blobs);
     let (width, height) = image.size();
     let middle = Vector2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
     // Distance from the middle of the image to the middle of the array.
     let off = |indexing: &Indexing| {
         let (k, l) = indexing.index(&pattern, (0, 0));
-        (pattern.origin
-            - pattern.lattice_axes() * indexing.lattice(pattern.kind).node(k, l)
-            - middle)
-            .norm()
+        let to_middle = pattern.lattice_axes() * -indexing.lattice(pattern.kind).node(k, l);
+        let steps = pattern.basis().try_inverse().unwrap_or_default() * to_middle;
+        (pattern.place_of(&steps) - middle).norm()
     };
     let possible = Indexing::possible(&pattern, &lit_nodes(&statuses), stated)?;
     let Some(indexing) = possible.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
@@ -152,7 +184,17 @@ fn no_grid(centers: &[MicroImageCenter]) -> Error {
     ))
 }
 
-/// Returns the pattern in the middle of the image, then the patterns in its quarters in case the middle is damaged.
+fn no_pattern() -> Error {
+    Error::invalid(format!(
+        "no array of micro-images was found: nothing repeats on a hexagonal or square lattice with \
+         a pitch from {} to {} px; give a white image that is neither black nor saturated, and \
+         shows at least five micro-images along either side",
+        PITCHES.start(),
+        PITCHES.end()
+    ))
+}
+
+/// Returns the patterns in the middle of the image, then the patterns in its quarters in case the middle is damaged.
 pub(super) fn patterns(image: &Grey) -> impl Iterator<Item = Pattern> {
     let (w, h) = image.size();
     let places = [
@@ -162,18 +204,5 @@ pub(super) fn patterns(image: &Grey) -> impl Iterator<Item = Pattern> {
         (w / 4, 3 * h / 4),
         (3 * w / 4, 3 * h / 4),
     ];
-    let found = places.into_iter().filter_map(|place| find_pattern(image, place));
-    found.filter(|pattern| pattern.explained >= PATTERN)
-}
-
-/// Finds the pattern that continues over the image, and its micro-images. A `known` pattern is tried first.
-fn find(image: &Grey, known: Option<Pattern>) -> Result<(Pattern, Vec<Blob>)> {
-    let mut tried = known.into_iter().chain(patterns(image));
-    if let Some(found) = tried.find_map(|pattern| measure(image, &pattern)) {
-        return Ok(found);
-    }
-    Err(Error::invalid(
-        "no array of micro-images was found: nothing repeats on a hexagonal or square lattice with \
-         a pitch from 5 to 90 px; give a white image that is neither black nor saturated",
-    ))
+    places.into_iter().flat_map(|place| find_patterns(image, place))
 }

@@ -3,13 +3,14 @@
 // Only what is inlined into the dispatched function is compiled for its registers.
 #![allow(clippy::inline_always)]
 
-use nalgebra::{Matrix3x2, Vector2, Vector3};
+use nalgebra::{Matrix3x2, SVector, Vector1, Vector2, Vector3};
 use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 use super::centroid::{
     Blob, SETTLED_PX, WINDOW, darkest_neighbourhood, measure_blob, pixels_about,
 };
+use super::grid::SIGNIFICANT;
 use super::pattern::Pattern;
 use crate::image::{Grey, Image, bounds};
 use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
@@ -136,10 +137,11 @@ impl NullaryFnOnce for Near<'_> {
 
 /// Returns the nodes in an image of this size, px.
 pub(super) fn nodes_in((width, height): (usize, usize), pattern: &Pattern) -> Vec<(i32, i32)> {
-    let Some(inverse) = pattern.basis().try_inverse() else { return Vec::new() };
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)]
-        .map(|(u, v)| inverse * (Vector2::new(u, v) - pattern.origin));
+        .map(|(u, v)| pattern.node_at(&Vector2::new(u, v)));
+    let [Some(a), Some(b), Some(c), Some(d)] = corners else { return Vec::new() };
+    let corners = [a, b, c, d];
     let low = corners.iter().fold(corners[0], |a, b| a.inf(b));
     let high = corners.iter().fold(corners[0], |a, b| a.sup(b));
     #[allow(clippy::cast_possible_truncation)] // indices of an image of at most 2³² px
@@ -156,6 +158,7 @@ pub(super) fn nodes_in((width, height): (usize, usize), pattern: &Pattern) -> Ve
 
 /// Returns true if the border of an image of this size, px, cuts the window of a micro-image.
 pub(super) fn is_cut((width, height): (usize, usize), pattern: &Pattern, node: (i32, i32)) -> bool {
+    let pattern = pattern.near(node);
     let place = pattern.place(node.0, node.1);
     let to_border =
         place.min().min(width as f64 - 1.0 - place.x).min(height as f64 - 1.0 - place.y);
@@ -169,10 +172,11 @@ pub(super) fn middle_light(
     pattern: &Pattern,
     node: (i32, i32),
 ) -> Option<(f64, f64)> {
+    let pattern = pattern.near(node);
     let place = pattern.place(node.0, node.1);
     let (part, corner) = part_with(image, std::iter::once(place), pattern.pitch());
     let place = place - corner;
-    let background = darkest_neighbourhood(&part, pattern, &place)?;
+    let background = darkest_neighbourhood(&part, &pattern, &place)?;
     let (mut count, mut light, mut saturated) = (0.0, 0.0, 0.0);
     pixels_about(&part, &place, MIDDLE * pattern.pitch(), |_, value| {
         count += 1.0;
@@ -194,37 +198,107 @@ const OUTLIERS: Outliers = Outliers {
 /// change.
 const FITS: usize = 3;
 
-/// Fits the affine map from nodes to centres robustly. Outliers have no weight, and dark micro-images have little,
-/// since their centres are noisy.
+/// Fits the map from nodes to centres robustly: with perspective if it is significant, otherwise an affine map. Outliers
+/// have no weight, and dark micro-images have little, since their centres are noisy.
 fn refit(pattern: &Pattern, blobs: &[Blob]) -> Option<Pattern> {
     if blobs.len() < FEWEST {
         return None;
     }
-    numerics::fit(&Affine(blobs), Some(*pattern), FITS, &OUTLIERS).map(|fitted| fitted.model)
+    let fit = |perspective: bool| {
+        let start = Projection { pattern: *pattern, deviations: 0.0 };
+        let nodes = Nodes { blobs, perspective };
+        numerics::fit(&nodes, Some(start), FITS, &OUTLIERS).map(|fitted| fitted.model)
+    };
+    let projected = fit(true).filter(|fit| fit.deviations > SIGNIFICANT);
+    projected.or_else(|| fit(false)).map(|fit| fit.pattern)
 }
 
-struct Affine<'a>(&'a [Blob]);
+/// Fitted pattern.
+struct Projection {
+    pattern: Pattern,
+    /// Significance of its perspective, in standard deviations.
+    deviations: f64,
+}
 
-impl Reweighted for Affine<'_> {
-    type Model = Pattern;
+/// Centres of micro-images by node.
+struct Nodes<'a> {
+    blobs: &'a [Blob],
+    perspective: bool,
+}
 
-    fn count(&self) -> usize {
-        self.0.len()
-    }
-
-    fn solve(&self, weights: &[f64], last: Option<&Pattern>) -> Option<Pattern> {
+impl Nodes<'_> {
+    fn affine(&self, weights: &[f64], last: &Pattern) -> Option<Projection> {
         let mut equations = NormalEquations::<f64, 3, 2>::new();
-        for (blob, weight) in self.0.iter().zip(weights) {
+        for (blob, weight) in self.blobs.iter().zip(weights) {
             let row = Vector3::new(1.0, f64::from(blob.node.0), f64::from(blob.node.1));
             equations.add(&row, &blob.center.transpose(), blob.light * weight);
         }
         let solution: Matrix3x2<f64> = equations.solve()?;
         let column = |i: usize| solution.row(i).transpose();
-        Some(Pattern { origin: column(0), along: column(1), across: column(2), ..*last? })
+        let pattern = Pattern {
+            origin: column(0),
+            along: column(1),
+            across: column(2),
+            perspective: Vector2::zeros(),
+            ..*last
+        };
+        Some(Projection { pattern, deviations: 0.0 })
     }
 
-    fn length(&self, pattern: &Pattern, datum: usize) -> f64 {
-        let blob = &self.0[datum];
-        (blob.center - pattern.place(blob.node.0, blob.node.1)).norm()
+    /// Solves for a pattern in perspective. The equations are linear if the perspective is multiplied by the positions of
+    /// the round before.
+    fn projected(&self, weights: &[f64], last: &Pattern) -> Option<Projection> {
+        let mut equations = NormalEquations::<f64, 8, 1>::new();
+        let rows = |blob: &Blob| {
+            let (i, j) = (f64::from(blob.node.0), f64::from(blob.node.1));
+            let p = last.place(blob.node.0, blob.node.1) - last.origin;
+            [
+                SVector::from([1.0, 0.0, i, 0.0, j, 0.0, i * p.x, j * p.x]),
+                SVector::from([0.0, 1.0, 0.0, i, 0.0, j, i * p.y, j * p.y]),
+            ]
+        };
+        for (blob, weight) in self.blobs.iter().zip(weights).filter(|(_, weight)| **weight > 0.0) {
+            for (row, measured) in rows(blob).iter().zip(&blob.center) {
+                equations.add(row, &Vector1::new(*measured), blob.light * weight);
+            }
+        }
+        let solution = equations.solve()?;
+        let pair = |i: usize| Vector2::new(solution[i], solution[i + 1]);
+        let pattern = Pattern {
+            origin: pair(0),
+            along: pair(2),
+            across: pair(4),
+            perspective: pair(6),
+            ..*last
+        };
+        let (mut squares, mut count) = (0.0, 0.0);
+        for (blob, weight) in self.blobs.iter().zip(weights).filter(|(_, weight)| **weight > 0.0) {
+            let off = blob.center - pattern.place(blob.node.0, blob.node.1);
+            squares += blob.light * weight * off.norm_squared();
+            count += 2.0;
+        }
+        let variance = squares / (count - 8.0);
+        let covariance = equations.normal().cholesky()?.inverse() * variance;
+        let of_perspective = covariance.fixed_view::<2, 2>(6, 6).try_inverse()?;
+        let deviations = pattern.perspective.dot(&(of_perspective * pattern.perspective)).sqrt();
+        Some(Projection { pattern, deviations })
+    }
+}
+
+impl Reweighted for Nodes<'_> {
+    type Model = Projection;
+
+    fn count(&self) -> usize {
+        self.blobs.len()
+    }
+
+    fn solve(&self, weights: &[f64], last: Option<&Projection>) -> Option<Projection> {
+        let last = &last?.pattern;
+        if self.perspective { self.projected(weights, last) } else { self.affine(weights, last) }
+    }
+
+    fn length(&self, fit: &Projection, datum: usize) -> f64 {
+        let blob = &self.blobs[datum];
+        (blob.center - fit.pattern.place(blob.node.0, blob.node.1)).norm()
     }
 }

@@ -39,9 +39,10 @@ const FIRST_ROWS: usize = 2;
 /// holds no light.
 #[inline(always)]
 pub(super) fn measure_blob(image: &Image, pattern: &Pattern, node: (i32, i32)) -> Option<Blob> {
+    let pattern = pattern.near(node);
     let pitch = pattern.pitch();
     let expected = pattern.place(node.0, node.1);
-    let background = darkest_neighbourhood(image, pattern, &expected)?;
+    let background = darkest_neighbourhood(image, &pattern, &expected)?;
     let window = Window { image, inner: WINDOW.0 * pitch, outer: WINDOW.1 * pitch, background };
     let (mut center, _) = window.centroid(&expected, FIRST_ROWS)?;
     let mut sums = Sums::default();

@@ -2,8 +2,7 @@
 //! offset τ).
 //!
 //! The grid of the paper is regular. If the array is tilted against the sensor, the pitch grows towards the side on
-//! which the micro-lenses are nearer to the main lens. The centres are then a projection, to first order
-//! c = p (1 + t · p) with t = θ/(D + d) for a tilt of θ and the exit pupil in the lens. On an R12 with 1 mrad this is
+//! which the micro-lenses are nearer to the main lens. The centres are then a projection c = p / (1 − t · p) with t = θ/(D + d) for a tilt of θ and the exit pupil in the lens. On an R12 with 1 mrad this is
 //! 0.4 px at the border, and gives θ to a few per cent before any board is seen.
 
 use nalgebra::{Matrix2, Matrix6, Rotation2, Vector1, Vector2, Vector6};
@@ -13,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::model::{Lattice, LatticeKind, MicroImageCenter, Packing};
 use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
 
-/// Grid of micro-image centres: c(k, l) = center + p (1 + t · p) with p = pitch · R(rotation) · node(k, l) and the
+/// Grid of micro-image centres: c(k, l) = center + p / (1 − t · p) with p = pitch · R(rotation) · node(k, l) and the
 /// perspective t.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MicroImageArray {
@@ -40,7 +39,13 @@ impl MicroImageArray {
     pub fn center_of(&self, k: i32, l: i32) -> Vector2<f64> {
         let turn = Rotation2::new(self.rotation_rad);
         let regular = self.pitch_px * (turn * self.lattice.node(k, l));
-        self.center_px + regular * (1.0 + self.perspective_per_px.dot(&regular))
+        self.center_px + regular / (1.0 - self.perspective_per_px.dot(&regular))
+    }
+
+    /// Returns the position, from the middle of the lattice, that a centre would have without perspective, px.
+    pub(super) fn without_perspective(&self, center: &Vector2<f64>) -> Vector2<f64> {
+        let from_middle = center - self.center_px;
+        from_middle / (1.0 + self.perspective_per_px.dot(&from_middle))
     }
 
     /// Returns the centres of all nodes, row by row, px: the measured centre if there is one, otherwise the centre in
@@ -59,7 +64,7 @@ impl MicroImageArray {
 }
 
 /// Fewest centres for the four parameters of the grid with redundancy.
-const MIN_CENTERS: usize = 8;
+const MIN_CENTERS: usize = 7;
 /// Outliers of a grid. Centres scatter by their noise and by the faults of single micro-lenses, so the limit is wide. A
 /// perfect grid scatters only by rounding, which is below `least`, px.
 const OUTLIERS: Outliers = Outliers {
@@ -77,25 +82,13 @@ const SETTLED: f64 = 1e-13;
 const MAX_RELATIVE_SCALE: f64 = 0.15;
 /// Least significance of a perspective, in standard deviations. Below it the perspective counts as none, since it would
 /// only carry the noise of the centres outwards.
-const SIGNIFICANT: f64 = 5.0;
+pub(super) const SIGNIFICANT: f64 = 5.0;
 
 /// Fits the grid robustly, with perspective. Tries both choices of the shifted rows (columns).
 ///
 /// Returns an error if there are too few centres, if they do not span the plane, or if they do not lie on a lattice of
 /// this kind. The error then names the kinds on which they do.
 pub fn fit_grid(
-    centers: &[MicroImageCenter],
-    kind: LatticeKind,
-    columns: i32,
-    rows: i32,
-) -> Result<MicroImageArray> {
-    let regular = fit_regular_grid(centers, kind, columns, rows)?;
-    let bent = fit(centers, regular.lattice, true).filter(|fit| fit.deviations > SIGNIFICANT);
-    Ok(bent.map_or(regular, |fit| fit.grid))
-}
-
-/// Fits the grid without perspective, otherwise like [`fit_grid`].
-fn fit_regular_grid(
     centers: &[MicroImageCenter],
     kind: LatticeKind,
     columns: i32,
@@ -110,7 +103,7 @@ fn fit_regular_grid(
     let all_fits = |kind: LatticeKind| -> Vec<Fit> {
         Packing::of_kind(kind)
             .par_iter()
-            .filter_map(|&packing| fit(centers, Lattice { packing, columns, rows }, false))
+            .filter_map(|&packing| fit_lattice(centers, Lattice { packing, columns, rows }))
             .collect()
     };
     let best_of =
@@ -170,7 +163,7 @@ impl Fit {
 }
 
 /// Parameters of the fit: center, a and b with a + ib = pitch · exp(i rotation), and the perspective s by node. The
-/// centre of node g is c = center + (1 + s · g) A g, with A the rotation times the pitch.
+/// centre of node g is c = center + A g / (1 − s · g), with A the rotation times the pitch.
 #[derive(Clone, Copy)]
 struct Form(Vector6<f64>);
 
@@ -179,9 +172,21 @@ impl Form {
         Matrix2::new(self.0[2], -self.0[3], self.0[3], self.0[2])
     }
 
-    fn place(&self, g: &Vector2<f64>) -> Vector2<f64> {
-        self.0.xy() + self.turn() * g * (1.0 + self.0[4] * g.x + self.0[5] * g.y)
+    /// Returns the position of a node from that of the middle.
+    fn from_middle(&self, g: &Vector2<f64>) -> Vector2<f64> {
+        self.turn() * g / (1.0 - self.0[4] * g.x - self.0[5] * g.y)
     }
+
+    fn place(&self, g: &Vector2<f64>) -> Vector2<f64> {
+        self.0.xy() + self.from_middle(g)
+    }
+}
+
+/// Fits a grid, with perspective if it is significant. Returns `None` if it is not determined.
+fn fit_lattice(centers: &[MicroImageCenter], lattice: Lattice) -> Option<Fit> {
+    let regular = fit(centers, lattice, false)?;
+    let projected = fit(centers, lattice, true).filter(|fit| fit.deviations > SIGNIFICANT);
+    Some(projected.unwrap_or(regular))
 }
 
 /// Fits a grid, with or without perspective. Returns `None` if it is not determined.
@@ -233,19 +238,19 @@ impl Reweighted for Centers {
         self.nodes.len()
     }
 
-    /// Solves for the grid. The equations are linear if the perspective s is multiplied by A of the round before. The
-    /// first round has no A, and leaves s at 0.
+    /// Solves for the grid. The equations are linear if the perspective s is multiplied by the positions of the round
+    /// before. The first round has none, and leaves s at 0.
     fn solve(&self, weights: &[f64], last: Option<&Self::Model>) -> Option<Self::Model> {
-        let turn = last.filter(|_| self.perspective).map(|(form, _)| form.turn());
+        let last = last.filter(|_| self.perspective).map(|(form, _)| form);
         let mut equations = NormalEquations::<f64, 6, 1>::new();
         for ((g, c), &weight) in self.nodes.iter().zip(&self.observed).zip(weights) {
-            let p = turn.map_or_else(Vector2::zeros, |turn| turn * g);
+            let p = last.map_or_else(Vector2::zeros, |form| form.from_middle(g));
             let along_u = Vector6::new(1.0, 0.0, g.x, -g.y, g.x * p.x, g.y * p.x);
             let along_v = Vector6::new(0.0, 1.0, g.y, g.x, g.x * p.y, g.y * p.y);
             equations.add(&along_u, &Vector1::new(c.x), weight);
             equations.add(&along_v, &Vector1::new(c.y), weight);
         }
-        if turn.is_none() {
+        if last.is_none() {
             for i in [4, 5] {
                 let only = Vector6::from_fn(|j, _| f64::from(u8::from(i == j)));
                 equations.add(&only, &Vector1::new(0.0), 1.0);

@@ -1,25 +1,29 @@
 //! Search for the pattern of micro-images in an image alone: packing, pitch and orientation.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, TAU};
+use std::ops::RangeInclusive;
 
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 
-use crate::image::Grey;
+use crate::image::{Grey, Image};
 use crate::model::{LatticeKind, ROW_DISTANCE};
 
-/// Lattice of micro-images in an image: `origin + i · along + j · across` for whole i and j.
+/// Lattice of micro-images in an image, in perspective: node g = (i, j) is at `origin + g' / (1 − s · g)` for whole i and
+/// j, with g' = i · `along` + j · `across` and the perspective s.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Pattern {
     pub kind: LatticeKind,
     /// Position of one micro-image, px.
     pub origin: Vector2<f64>,
-    /// Step to the next micro-image along the straight rows (columns), px.
+    /// Step at the origin to the next micro-image along the straight rows (columns), px.
     pub along: Vector2<f64>,
-    /// Step to a micro-image of the next row (column), px: to the right (down) on a hexagonal lattice.
+    /// Step at the origin to a micro-image of the next row (column), px: to the right (down) on a hexagonal lattice.
     pub across: Vector2<f64>,
+    /// Perspective s by node; 0 if the pitch is the same everywhere.
+    pub perspective: Vector2<f64>,
     /// Fraction of the variance of the image that the repetition explains, from 0 to 1.
     pub explained: f64,
 }
@@ -27,7 +31,34 @@ pub(super) struct Pattern {
 impl Pattern {
     /// Returns the position of node (i, j).
     pub fn place(&self, i: i32, j: i32) -> Vector2<f64> {
-        self.origin + self.along * f64::from(i) + self.across * f64::from(j)
+        self.place_of(&Vector2::new(f64::from(i), f64::from(j)))
+    }
+
+    /// Returns the position of a node, or of a point between nodes.
+    pub fn place_of(&self, node: &Vector2<f64>) -> Vector2<f64> {
+        self.origin + self.basis() * node / (1.0 - self.perspective.dot(node))
+    }
+
+    /// Returns the node, or the point between nodes, at a position; `None` beyond the horizon.
+    pub fn node_at(&self, place: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let regular = self.basis().try_inverse()? * (place - self.origin);
+        let nearer = 1.0 + self.perspective.dot(&regular);
+        (nearer > 0.0).then(|| regular / nearer)
+    }
+
+    /// Returns the lattice without perspective that has the position and the steps of this one at a node.
+    pub fn near(&self, (i, j): (i32, i32)) -> Self {
+        let node = Vector2::new(f64::from(i), f64::from(j));
+        let nearer = 1.0 - self.perspective.dot(&node);
+        let regular = self.basis() * node / nearer;
+        let basis = (self.basis() + regular * self.perspective.transpose()) / nearer;
+        Self {
+            origin: self.origin + regular - basis * node,
+            along: basis.column(0).into_owned(),
+            across: basis.column(1).into_owned(),
+            perspective: Vector2::zeros(),
+            ..*self
+        }
     }
 
     /// Returns the pattern in a part of the image whose first pixel is at `corner`.
@@ -35,11 +66,12 @@ impl Pattern {
         Self { origin: self.origin - corner, ..*self }
     }
 
+    /// Returns the pitch at the origin, px.
     pub fn pitch(&self) -> f64 {
         self.basis().determinant().abs().sqrt() / cell_area(self.kind).sqrt()
     }
 
-    /// Returns the map from lattice positions, in pitches, to px.
+    /// Returns the map from lattice positions, in pitches, to px, at the origin.
     pub fn lattice_axes(&self) -> Matrix2<f64> {
         // It is a pitch long, at a right angle to the rows.
         let across_rows = (self.across - self.along / 2.0) / ROW_DISTANCE;
@@ -50,6 +82,7 @@ impl Pattern {
         }
     }
 
+    /// Returns the steps at the origin, as columns.
     pub fn basis(&self) -> Matrix2<f64> {
         Matrix2::from_columns(&[self.along, self.across])
     }
@@ -79,8 +112,19 @@ fn cell_area(kind: LatticeKind) -> f64 {
 const LARGEST_CROP: usize = 512;
 /// Number of rows that one thread transforms at once.
 const ROWS_AT_ONCE: usize = 32;
+/// Pitches that can be found in a square, in its pixels.
+const IN_CROP: RangeInclusive<f64> = 5.0..=90.0;
+/// Factors by which the image is reduced, one after the other until a lattice is sure, so that squares hold larger pitches.
+const REDUCTIONS: [usize; 3] = [1, 2, 4];
 /// Pitches that can be found, px.
-const PITCHES: std::ops::RangeInclusive<f64> = 5.0..=90.0;
+pub(super) const PITCHES: RangeInclusive<f64> = 5.0..=360.0;
+/// Least part of the variance that a lattice of micro-images explains: of few cells, and of so many cells that chance explains
+/// hardly any. Of the second kind are images of which holes show much less than half. By chance, a lattice explains some three
+/// over its number of cells.
+const LEAST: (f64, f64) = (0.1, 0.03);
+const BY_CHANCE: f64 = 10.0;
+/// Part of the variance above which a lattice is sure. Parts of a lattice of larger pitch explain less than 0.3.
+const SURE: f64 = 0.6;
 /// Number of frequencies that are used. The strongest ones belong to the lattice, its harmonics and the lens types.
 const PEAKS: usize = 16;
 /// Tolerance of a regular lattice: for the lengths of its two steps, relative, and for their angle, rad.
@@ -94,15 +138,31 @@ const FOLDED_ROWS: f64 = 5.0;
 /// micro-images just fill their cells, which leaves the fundamental frequency dark.
 const FUNDAMENTAL: f64 = 0.75;
 
-/// Finds the pattern of the part of an image about `middle`. Returns `None` if nothing repeats on a known lattice.
-pub(super) fn find_pattern(image: &Grey, middle: (usize, usize)) -> Option<Pattern> {
+/// Finds the patterns that the part of an image about `middle` may have, the most likely one first. Returns none if nothing
+/// repeats on a known lattice.
+pub(super) fn find_patterns(image: &Grey, middle: (usize, usize)) -> Vec<Pattern> {
+    let mut found: Vec<Pattern> = Vec::new();
+    for reduction in REDUCTIONS {
+        found.extend(find_reduced(image, middle, reduction));
+        if found.last().is_some_and(|found| found.explained >= SURE) {
+            break;
+        }
+    }
+    let likely = fundamental(&found);
+    found.sort_by_key(|pattern| Some(*pattern) != likely);
+    found
+}
+
+/// Finds the pattern of the part of a reduced image about `middle`.
+fn find_reduced(image: &Grey, middle: (usize, usize), reduction: usize) -> Option<Pattern> {
     let (width, height) = image.size();
-    let size = LARGEST_CROP.min(width).min(height);
+    let size = LARGEST_CROP.min(width / reduction).min(height / reduction);
     let start = |middle: usize, length: usize| {
+        let size = size * reduction;
         middle.saturating_sub(size / 2).min(length.saturating_sub(size))
     };
     let (left, top) = (start(middle.0, width), start(middle.1, height));
-    let crop = Crop::new(image, left, top, size)?;
+    let crop = Crop::new(image, (left, top), size, reduction)?;
     let peaks = crop.frequencies();
     let mut candidates: Vec<Pattern> = Vec::new();
     for (n, first) in peaks.iter().enumerate() {
@@ -118,17 +178,24 @@ pub(super) fn find_pattern(image: &Grey, middle: (usize, usize)) -> Option<Patte
         }
     }
     let candidates: Vec<Pattern> = candidates.par_iter().map(|c| crop.folded(c)).collect();
-    let best = candidates.iter().map(|c| c.explained).fold(0.0, f64::max);
-    candidates
-        .into_iter()
-        .filter(|c| c.explained >= FUNDAMENTAL * best)
-        .min_by(|a, b| a.pitch().total_cmp(&b.pitch()))
+    let found = fundamental(&candidates)?;
+    let cells = (size * size) as f64 / found.basis().determinant().abs();
+    let least = (BY_CHANCE / cells).clamp(LEAST.1, LEAST.0);
+    (found.explained >= least).then(|| crop.in_image(&found))
 }
 
-/// Square piece of an image, less its mean.
+/// Returns the lattice of all micro-images among those that the image may have.
+fn fundamental(candidates: &[Pattern]) -> Option<Pattern> {
+    let best = candidates.iter().map(|c| c.explained).fold(0.0, f64::max);
+    let explains = candidates.iter().filter(|c| c.explained >= FUNDAMENTAL * best);
+    explains.min_by(|a, b| a.pitch().total_cmp(&b.pitch())).copied()
+}
+
+/// Square piece of a reduced image, less its mean.
 struct Crop {
     left: f64,
     top: f64,
+    reduction: f64,
     size: usize,
     values: Vec<f32>,
     variance: f64,
@@ -137,8 +204,14 @@ struct Crop {
 impl Crop {
     /// Creates a piece; `None` if all its values are equal.
     #[allow(clippy::cast_possible_truncation)] // intensities need no more than 32 bits
-    fn new(image: &Grey, left: usize, top: usize, size: usize) -> Option<Self> {
-        let mut values = image.part(left, top, size, size).pixels;
+    fn new(
+        image: &Grey,
+        (left, top): (usize, usize),
+        size: usize,
+        reduction: usize,
+    ) -> Option<Self> {
+        let whole = image.part(left, top, size * reduction, size * reduction);
+        let mut values = reduced(whole, reduction);
         let count = values.len() as f64;
         let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / count;
         for value in &mut values {
@@ -148,10 +221,23 @@ impl Crop {
         (variance > 1e-9).then_some(Self {
             left: left as f64,
             top: top as f64,
+            reduction: reduction as f64,
             size,
             values,
             variance,
         })
+    }
+
+    /// Returns a pattern of the piece as it is in the image.
+    fn in_image(&self, pattern: &Pattern) -> Pattern {
+        // The middle of a reduced pixel is the middle of the pixels in it.
+        let first = Vector2::new(self.left, self.top).add_scalar((self.reduction - 1.0) / 2.0);
+        Pattern {
+            origin: pattern.origin * self.reduction + first,
+            along: pattern.along * self.reduction,
+            across: pattern.across * self.reduction,
+            ..*pattern
+        }
     }
 
     /// Returns the strongest frequencies (cycles per px) of a half plane, strongest first.
@@ -166,7 +252,7 @@ impl Crop {
                 let length = signed(x).hypot(signed(y)) / n as f64;
                 // A hexagonal lattice has frequencies of up to 2/√3 over the pitch; the frequencies of its lens types
                 // are 1/√3 of these.
-                if length < 0.6 / PITCHES.end() || length > 1.2 / PITCHES.start() {
+                if length < 0.6 / IN_CROP.end() || length > 1.2 / IN_CROP.start() {
                     continue;
                 }
                 if x == 0 && signed(y) < 0.0 {
@@ -274,21 +360,39 @@ impl Crop {
         let middle = Vector2::repeat(self.size as f64 / 2.0);
         let steps = (to_cell * middle - cell).map(f64::round);
         Pattern {
-            origin: candidate.basis() * (cell + steps) + Vector2::new(self.left, self.top),
+            origin: candidate.basis() * (cell + steps),
             explained: explained / total / self.variance,
             ..*candidate
         }
     }
 }
 
+/// Returns the means of squares of `reduction` pixels of a square image.
+fn reduced(image: Image, reduction: usize) -> Vec<f32> {
+    if reduction == 1 {
+        return image.pixels;
+    }
+    #[allow(clippy::cast_precision_loss)] // a few pixels
+    let part = 1.0 / (reduction * reduction) as f32;
+    let size = image.width / reduction;
+    let mut means = vec![0.0; size * size];
+    for (v, row) in image.pixels.chunks_exact(image.width).enumerate() {
+        for (u, pixels) in row.chunks_exact(reduction).enumerate() {
+            means[v / reduction * size + u] += pixels.iter().sum::<f32>() * part;
+        }
+    }
+    means
+}
+
 /// Returns the hexagonal or square lattice that has two frequencies, if there is one.
 fn regular_lattice(first: &Vector2<f64>, second: &Vector2<f64>) -> Option<Pattern> {
     let frequencies = Matrix2::from_columns(&[*first, *second]);
-    of_steps(&frequencies.transpose().try_inverse()?)
+    of_steps(&frequencies.transpose().try_inverse()?, &IN_CROP)
 }
 
-/// Returns the hexagonal or square lattice that two steps (columns, px) span, if they span one. Its origin is (0, 0).
-pub(super) fn of_steps(steps: &Matrix2<f64>) -> Option<Pattern> {
+/// Returns the hexagonal or square lattice that two steps (columns, px) span, if they span one with such a pitch. Its
+/// origin is (0, 0).
+pub(super) fn of_steps(steps: &Matrix2<f64>, pitches: &RangeInclusive<f64>) -> Option<Pattern> {
     // Gauss' reduction gives the two shortest steps.
     let (mut a, mut b) = (steps.column(0).into_owned(), steps.column(1).into_owned());
     loop {
@@ -304,7 +408,7 @@ pub(super) fn of_steps(steps: &Matrix2<f64>) -> Option<Pattern> {
         }
         b = shorter;
     }
-    if !PITCHES.contains(&a.norm()) || (b.norm() / a.norm() - 1.0).abs() > REGULAR {
+    if !pitches.contains(&a.norm()) || (b.norm() / a.norm() - 1.0).abs() > REGULAR {
         return None;
     }
     let angle = (a.dot(&b) / (a.norm() * b.norm())).clamp(-1.0, 1.0).acos();
@@ -346,7 +450,8 @@ fn nearest(steps: &[Vector2<f64>], direction: &Vector2<f64>) -> Vector2<f64> {
 }
 
 fn pattern(kind: LatticeKind, along: Vector2<f64>, across: Vector2<f64>) -> Pattern {
-    Pattern { kind, origin: Vector2::zeros(), along, across, explained: 0.0 }
+    let (origin, perspective) = (Vector2::zeros(), Vector2::zeros());
+    Pattern { kind, origin, along, across, perspective, explained: 0.0 }
 }
 
 #[cfg(test)]
@@ -369,7 +474,7 @@ mod tests {
             };
             let samples = Samples::Bits8((0..600 * 600).map(spot).collect());
             let image = RawImage { width: 600, height: 600, color: Color::Grey, samples };
-            let found = find_pattern(&image.grey(), (300, 300)).unwrap();
+            let found = find_patterns(&image.grey(), (300, 300))[0];
             assert!((found.pitch() - pitch).abs() < 0.02 * pitch, "{} for {pitch}", found.pitch());
             assert_eq!(found.kind, LatticeKind::HexagonalRows);
         }

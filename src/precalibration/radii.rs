@@ -136,7 +136,7 @@ fn moments_radius(
     profile: Profile,
 ) -> Option<TypeRadius> {
     let single = |blob: &Blob| {
-        let background = darkest_neighbourhood(image, pattern, &blob.center)?;
+        let background = darkest_neighbourhood(image, &pattern.near(blob.node), &blob.center)?;
         let (mut sum, mut first, mut second) = (0.0, Vector2::zeros(), Matrix2::zeros());
         pixels_about(image, &blob.center, pattern.pitch() / 2.0, |offset, value| {
             let light = value - background;

@@ -42,5 +42,6 @@ mod simulation;
 mod support;
 mod traced_lenses;
 mod uncertainty;
+mod unusual_arrays;
 mod use_camera;
 mod weights;
