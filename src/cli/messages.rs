@@ -91,7 +91,9 @@ pub fn warn(warnings: &[impl Display]) {
 /// Number of findings of one kind from which they are printed as one.
 const MANY: usize = 10;
 
-/// Prints findings as warnings, but notes about the whole input that ask for nothing as notes: a line with the code, and one with the remedy. If there are many of one kind, the first is
+/// Prints findings as warnings, but notes about the whole input that ask for nothing as notes.
+///
+/// A finding has a line with the code, and one with the remedy. If there are many of one kind, the first is
 /// printed and the others are counted.
 pub fn tell<'a>(findings: impl IntoIterator<Item = &'a Finding>) {
     let findings: Vec<&Finding> = findings.into_iter().collect();

@@ -97,8 +97,9 @@ enum Kind {
     Translation,
 }
 
-/// Finds PNG, TIFF, BMP, PGM/PPM and JPEG files, and `.raw` files without a header, in a folder and its subfolders, and sorts them by their paths in the folder.
-/// Hidden files are skipped. Broken links, pipes, and names that a project file cannot contain are skipped and listed.
+/// Finds PNG, TIFF, BMP, PGM/PPM and JPEG files, and `.raw` files without a header, in a folder and its subfolders, and
+/// sorts them by their paths in the folder. Hidden files are skipped. Broken links, pipes, images of formats that are not read,
+/// and names that a project file cannot contain are skipped and listed.
 ///
 /// An error if there are no images.
 pub fn sort_images(folder: &Path) -> Result<SortedImages> {
@@ -300,8 +301,8 @@ impl SortedImages {
         self.sorted().any(is_raw)
     }
 
-    /// Returns size and channels of the sorted images with a header; `None` if there are none. An error names the images that differ in size
-    /// from most.
+    /// Returns size and channels of the sorted images with a header; `None` if there are none. An error names the
+    /// images that differ in size from most.
     pub fn common_format(&self) -> Result<Option<CommonFormat>> {
         let with_header = self.sorted().filter(|path| !is_raw(path));
         let formats = with_header.map(|path| Ok((path, format_of(path)?)));

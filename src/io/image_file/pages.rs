@@ -170,8 +170,8 @@ impl Sum {
     }
 }
 
-/// Returns the mean of all pages as samples of 16 bits. Noise on nearly full pixels is cut off, so that a mean with full samples
-/// would be too low: the largest sample stays.
+/// Returns the mean of all pages as samples of 16 bits. Noise on nearly full pixels is cut off, so that their mean would be too
+/// low: the largest sample stays.
 fn average(bytes: &[u8]) -> Result<Decoded> {
     let mut largest: Option<Samples> = None;
     let sum = Sum::of_file(bytes, |page| {

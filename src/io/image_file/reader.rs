@@ -99,9 +99,9 @@ impl ImageReader {
         pages::decoded(bytes, self.pages)
     }
 
-    /// Reads a PNG, TIFF, BMP, PGM/PPM or JPEG file, or a file without a header whose layout is stated; transparency is ignored.
+    /// Reads a PNG, TIFF, BMP, PGM/PPM or JPEG file, or one without a header whose layout is stated; transparency is ignored.
     ///
-    /// Samples have 8 or 16 bits. Samples of TIFF files may also be signed, have 32 or 64 bits, or be floating-point numbers, if
+    /// Samples have 8 or 16 bits. Samples of TIFF files may be signed, have 32 or 64 bits, or be floating-point numbers, if
     /// they are grey levels from 0 to 65535; these are rounded to whole levels.
     pub fn read(&self, path: &Path) -> Result<RawImage> {
         // Reading the whole file first separates errors of the disk from errors of the image.
@@ -138,8 +138,8 @@ impl ImageReader {
         self.dark.as_ref().map(Dark::black_level).or(self.black_level)
     }
 
-    /// Returns findings about image files that declare samples that are not linear in light, or an orientation, about the choice
-    /// among several pages, and about the dark image. Declared curves and orientations are not applied: samples and pixels are
+    /// Returns findings about image files that declare samples that are not linear in light, or an orientation, about the
+    /// choice among several pages, and about the dark image. Declared curves and orientations are not applied: samples and pixels are
     /// used as stored. A file that cannot be read gives no finding here, since reading it reports the reason.
     #[must_use]
     pub fn findings<P: AsRef<Path> + Sync>(&self, images: &[P]) -> Vec<Finding> {
