@@ -87,7 +87,7 @@ fn parts() -> Vec<Part> {
         part!("accuracy/tilt-gradient-with-boards", "2 min", aperture::tilt_gradient),
         part!("accuracy/aperture-ratio", "3 min", aperture::by_detection),
         part!("accuracy/cameras", "1 h", aperture::cameras),
-        part!("accuracy/openings", "6 min", aperture::openings),
+        part!("accuracy/openings", "36 min", aperture::openings),
         part!("accuracy/lenses", "70 min", lenses::errors),
         part!("accuracy/decentred-lenses", "4 min", lenses::decentred),
         part!("accuracy/tilted-lenses", "3 min", lenses::tilted),

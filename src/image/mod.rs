@@ -97,26 +97,30 @@ impl RawImage {
         if self.color == Color::Rgb {
             return None;
         }
-        let (mut sums, mut counts) = ([[0.0; 4]; 4], [0.0; 4]);
+        // By direction: light falls, stays or rises along u, then along v.
+        let (mut sums, mut counts) = ([[0.0_f64; 4]; 9], [0.0_f64; 9]);
         self.compared(self.range(None), |(u, v), square| {
-            let falls = |before: Option<f64>, after: Option<f64>| {
-                usize::from(before.zip(after).is_some_and(|(before, after)| before > after))
+            let change = |before: Option<f64>, after: Option<f64>| {
+                let change = before.zip(after).and_then(|(a, b)| b.partial_cmp(&a));
+                change.map_or(1, |order| usize::from(order.is_ge()) + usize::from(order.is_gt()))
             };
-            let along = u.checked_sub(2).and_then(|before| self.square(before, v));
-            let across = v.checked_sub(2).and_then(|before| self.square(u, before));
-            let direction =
-                2 * falls(along, self.square(u + 2, v)) + falls(across, self.square(u, v + 2));
+            let before_u = u.checked_sub(2).and_then(|before| self.square(before, v));
+            let before_v = v.checked_sub(2).and_then(|before| self.square(u, before));
+            let direction = 3 * change(before_u, self.square(u + 2, v))
+                + change(before_v, self.square(u, v + 2));
             counts[direction] += 1.0;
             for (sum, &(_, part)) in sums[direction].iter_mut().zip(square) {
                 *sum += part;
             }
         });
-        // Light that rises and falls by chance unequally often would look like a mosaic.
-        let directions = counts.iter().filter(|count| **count > 0.0).count() as f64;
-        let weights =
-            counts.map(|count| if count > 0.0 { 1.0 / (count * directions) } else { 0.0 });
-        let mean = |i: usize| sums.iter().zip(weights).map(|(sum, weight)| sum[i] * weight).sum();
-        (directions > 0.0).then(|| [0, 1, 2, 3].map(mean))
+        // Edges that rise and fall unequally often by chance would look like a mosaic.
+        let weight = |i: usize| (counts[i] + counts[8 - i]) / counts[i].max(1.0);
+        let paired: Vec<usize> = (0..9).filter(|&i| counts[i] * counts[8 - i] > 0.0).collect();
+        let total: f64 = paired.iter().map(|&i| weight(i) * counts[i]).sum();
+        let mean = |channel: usize| {
+            paired.iter().map(|&i| weight(i) * sums[i][channel]).sum::<f64>() / total
+        };
+        (total > 0.0).then(|| [0, 1, 2, 3].map(mean))
     }
 
     /// Returns the sum of the four samples from (u, v) on; `None` beyond the border.

@@ -10,7 +10,7 @@ use super::grid::{MicroImageArray, fit_grid};
 use super::indexing::Indexing;
 use super::lens_types::judge_single;
 use super::micro_image_status::{LeftOut, judge, lit_nodes};
-use super::pattern::{PITCHES, Pattern, find_patterns, of_steps};
+use super::pattern::{CLEAR, PITCHES, Pattern, find_patterns, of_steps};
 use crate::error::{Error, Result};
 use crate::image::{Grey, RawImage};
 use crate::model::{Lattice, LatticeKind, MicroImageCenter};
@@ -89,6 +89,9 @@ fn search(image: &Grey, known: Option<Pattern>, stated: Option<(i32, i32)>) -> R
     for pattern in known.into_iter().chain(patterns(image)) {
         let Some((pattern, blobs)) = measure(image, &pattern) else { continue };
         let found = of_pattern(image, pattern, blobs, stated);
+        if found.is_err() && pattern.explained < CLEAR {
+            continue;
+        }
         if used(&found) >= MOST {
             return found;
         }

@@ -173,12 +173,12 @@ impl Form {
     }
 
     /// Returns the position of a node from that of the middle.
-    fn from_middle(&self, g: &Vector2<f64>) -> Vector2<f64> {
+    fn offset(&self, g: &Vector2<f64>) -> Vector2<f64> {
         self.turn() * g / (1.0 - self.0[4] * g.x - self.0[5] * g.y)
     }
 
     fn place(&self, g: &Vector2<f64>) -> Vector2<f64> {
-        self.0.xy() + self.from_middle(g)
+        self.0.xy() + self.offset(g)
     }
 }
 
@@ -244,7 +244,7 @@ impl Reweighted for Centers {
         let last = last.filter(|_| self.perspective).map(|(form, _)| form);
         let mut equations = NormalEquations::<f64, 6, 1>::new();
         for ((g, c), &weight) in self.nodes.iter().zip(&self.observed).zip(weights) {
-            let p = last.map_or_else(Vector2::zeros, |form| form.from_middle(g));
+            let p = last.map_or_else(Vector2::zeros, |form| form.offset(g));
             let along_u = Vector6::new(1.0, 0.0, g.x, -g.y, g.x * p.x, g.y * p.x);
             let along_v = Vector6::new(0.0, 1.0, g.y, g.x, g.x * p.y, g.y * p.y);
             equations.add(&along_u, &Vector1::new(c.x), weight);

@@ -118,10 +118,11 @@ const IN_CROP: RangeInclusive<f64> = 5.0..=90.0;
 const REDUCTIONS: [usize; 3] = [1, 2, 4];
 /// Pitches that can be found, px.
 pub(super) const PITCHES: RangeInclusive<f64> = 5.0..=360.0;
-/// Least part of the variance that a lattice of micro-images explains: of few cells, and of so many cells that chance explains
-/// hardly any. Of the second kind are images of which holes show much less than half. By chance, a lattice explains some three
-/// over its number of cells.
-const LEAST: (f64, f64) = (0.1, 0.03);
+/// Part of the variance above which a lattice clearly shows.
+pub(super) const CLEAR: f64 = 0.1;
+/// Least part of the variance that a lattice of many cells explains, if dark holes and uneven light explain the rest.
+const LEAST: f64 = 0.03;
+/// Least part for few cells, times their number: by chance, a lattice explains some three over the number of its cells.
 const BY_CHANCE: f64 = 10.0;
 /// Part of the variance above which a lattice is sure. Parts of a lattice of larger pitch explain less than 0.3.
 const SURE: f64 = 0.6;
@@ -180,7 +181,7 @@ fn find_reduced(image: &Grey, middle: (usize, usize), reduction: usize) -> Optio
     let candidates: Vec<Pattern> = candidates.par_iter().map(|c| crop.folded(c)).collect();
     let found = fundamental(&candidates)?;
     let cells = (size * size) as f64 / found.basis().determinant().abs();
-    let least = (BY_CHANCE / cells).clamp(LEAST.1, LEAST.0);
+    let least = (BY_CHANCE / cells).clamp(LEAST, CLEAR);
     (found.explained >= least).then(|| crop.in_image(&found))
 }
 
