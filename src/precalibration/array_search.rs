@@ -21,6 +21,8 @@ const MISPLACED: f64 = 6.0;
 /// Addition to this distance, px: on a nearly perfect grid a hundredth of a pixel is no fault.
 const MISPLACED_PX: f64 = 0.05;
 
+/// Largest root mean square distance from the grid, in pitches, of the centres of a pattern that explains little of the image.
+const REGULAR: f64 = 0.05;
 /// Part of the micro-images of an array in a grid above which its pattern is right. Of a lattice that is too fine, at most half
 /// of the nodes show light.
 const MOST: f64 = 0.5;
@@ -89,7 +91,7 @@ fn search(image: &Grey, known: Option<Pattern>, stated: Option<(i32, i32)>) -> R
     for pattern in known.into_iter().chain(patterns(image)) {
         let Some((pattern, blobs)) = measure(image, &pattern) else { continue };
         let found = of_pattern(image, pattern, blobs, stated);
-        if found.is_err() && pattern.explained < CLEAR {
+        if pattern.explained < CLEAR && !found.as_ref().is_ok_and(is_regular) {
             continue;
         }
         if used(&found) >= MOST {
@@ -100,6 +102,12 @@ fn search(image: &Grey, known: Option<Pattern>, stated: Option<(i32, i32)>) -> R
         }
     }
     best.unwrap_or_else(|| Err(no_pattern()))
+}
+
+/// Returns true if the centres of an array are too near a regular grid for a lattice of chance.
+fn is_regular(found: &FoundArray) -> bool {
+    let grid = &found.array.grid;
+    grid.rms_px < REGULAR * grid.pitch_px
 }
 
 /// Returns the part of the micro-images of an array, without those that the border of the image cuts, that gave a centre.
