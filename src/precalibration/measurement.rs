@@ -25,6 +25,7 @@ use crate::finding::Finding;
 use crate::image::Grey;
 use crate::model::{FallOff, InternalParameters, Opening, SampleLevels, full_scale};
 use crate::optics::Obliquity;
+use crate::quantity::Estimate;
 
 /// Measures the white images. Returns the discs too, if the light shows them.
 pub(super) fn measured(
@@ -73,26 +74,9 @@ pub(super) fn measured(
     let cos4 = in_the_middle(None, &lines, seen_pitch_px, options);
     let mut first = light.fall_off(&lines, options, &cos4);
     // Straight lines are accurate enough for a start.
-    let of_shape = |opening: Opening| {
-        let within = first.fall_off.within_per_px2;
-        samples.discs(&by_profile, &lines, within, seen_pitch_px, opening)
-    };
-    let mut of_light = of_shape(Opening::Disc);
-    let round = samples.internal(
-        of_light.as_ref(),
-        &mut samples.measurements(&by_profile),
-        &by_profile,
-        seen_pitch_px,
-    )?;
-    let cell_share = cell_share(&samples, &found, &round.parameters, options.pixel_size_mm);
-    let (opening, doubtful_opening) = checks::opening(
-        options.stated.and_then(|sheet| sheet.opening),
-        found.array.grid.lattice.kind(),
-        cell_share,
-    );
-    if opening != Opening::Disc {
-        of_light = of_shape(opening);
-    }
+    let start = (&lines, first.fall_off.within_per_px2);
+    let Shaped { discs: of_light, cell_share, doubtful: doubtful_opening } =
+        shaped(&samples, &by_profile, &found, options, start)?;
     let discs = of_light.as_ref();
     take_within(&mut first.fall_off, discs);
     let obliquity = in_the_middle(Some(&first.fall_off), &lines, seen_pitch_px, options);
@@ -159,6 +143,36 @@ pub(super) fn measured(
         findings,
     };
     Ok((measured, of_light))
+}
+
+/// Light of the micro-images with the shape of the openings.
+struct Shaped {
+    /// Discs, if the light shows them.
+    discs: Option<Discs>,
+    cell_share: Option<Estimate>,
+    /// Finding if the shape is doubtful.
+    doubtful: Option<Finding>,
+}
+
+/// Fits the light with discs as openings, which are accurate enough for the cell share, and then with the shape that it shows.
+fn shaped(
+    samples: &Samples,
+    by_profile: &[Vec<TypeRadius>],
+    found: &FoundArray,
+    options: &PrecalibrationOptions,
+    (lines, within_per_px2): (&InternalParameters, f64),
+) -> Result<Shaped> {
+    let grid = &found.array.grid;
+    let of_shape =
+        |opening: Opening| samples.discs(by_profile, lines, within_per_px2, grid.pitch_px, opening);
+    let discs = of_shape(Opening::Disc);
+    let mut radii = samples.measurements(by_profile);
+    let round = samples.internal(discs.as_ref(), &mut radii, by_profile, grid.pitch_px)?;
+    let cell_share = cell_share(samples, found, &round.parameters, options.pixel_size_mm);
+    let stated = options.stated.and_then(|sheet| sheet.opening);
+    let (opening, doubtful) = checks::opening(stated, grid.lattice.kind(), cell_share);
+    let discs = if opening == Opening::Disc { discs } else { of_shape(opening) };
+    Ok(Shaped { discs, cell_share, doubtful })
 }
 
 /// Finds the array in the reference image.
