@@ -114,6 +114,8 @@ const LARGEST_CROP: usize = 512;
 const ROWS_AT_ONCE: usize = 32;
 /// Pitches that can be found in a square, in its pixels.
 const IN_CROP: RangeInclusive<f64> = 5.0..=90.0;
+/// Smallest pitch that is looked for in a reduced image, in its pixels: smaller ones show in the image itself.
+const LEAST_REDUCED: f64 = 40.0;
 /// Factors by which the image is reduced, one after the other until a lattice is sure, so that squares hold larger pitches.
 const REDUCTIONS: [usize; 3] = [1, 2, 4];
 /// Pitches that can be found, px.
@@ -158,6 +160,9 @@ pub(super) fn find_patterns(image: &Grey, middle: (usize, usize)) -> Vec<Pattern
 fn find_reduced(image: &Grey, middle: (usize, usize), reduction: usize) -> Option<Pattern> {
     let (width, height) = image.size();
     let size = LARGEST_CROP.min(width / reduction).min(height / reduction);
+    if size == 0 {
+        return None;
+    }
     let start = |middle: usize, length: usize| {
         let size = size * reduction;
         middle.saturating_sub(size / 2).min(length.saturating_sub(size))
@@ -169,6 +174,9 @@ fn find_reduced(image: &Grey, middle: (usize, usize), reduction: usize) -> Optio
     for (n, first) in peaks.iter().enumerate() {
         for second in &peaks[..n] {
             let Some(candidate) = regular_lattice(first, second) else { continue };
+            if reduction > 1 && candidate.pitch() < LEAST_REDUCED {
+                continue;
+            }
             let known = candidates.iter().any(|c| {
                 c.kind == candidate.kind
                     && (c.along - candidate.along).norm() < 0.01 * c.along.norm()
