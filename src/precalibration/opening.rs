@@ -6,7 +6,7 @@
 //! ⟨zⁿ⟩: it is the same at all f-numbers. Its ratio to cₙ bⁿ is the cell share: 1 for cells, 0 for discs. Integrals over the
 //! polygons give c₆ = −16/189 and c₄ = −4/15.
 
-use nalgebra::Vector2;
+use nalgebra::{Complex, Vector2};
 use rayon::prelude::*;
 
 use super::array::FoundArray;
@@ -77,8 +77,8 @@ pub(super) fn cell_share(
 
 /// Returns the real part of zⁿ for a shape with n sides, of which one has a normal with this direction; 0 for a disc.
 fn harmonic(opening: Opening, normal_rad: f64, place: &Vector2<f64>) -> f64 {
-    let order = f64::from(opening.sides());
-    place.norm().powf(order) * (order * (place.y.atan2(place.x) - normal_rad)).cos()
+    let turned = Complex::new(place.x, place.y) * Complex::cis(-normal_rad);
+    turned.powu(opening.sides().into()).re
 }
 
 /// Returns cₙ.
