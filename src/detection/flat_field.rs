@@ -9,7 +9,7 @@ use nalgebra::{SMatrix, SVector};
 use super::MicroImages;
 use super::patch::USABLE;
 use crate::finding::{Finding, Issue, Subject};
-use crate::image::{Grey, bounds};
+use crate::image::{Grey, Image, bounds};
 use crate::numerics::median;
 
 /// Fields: the white image, its Laplacian, which takes up the noise of both images, and the possible causes of deviations.
@@ -206,6 +206,14 @@ impl Compared {
         let off = |&(u, v): &(usize, usize)| (u as f64 - center.x).hypot(v as f64 - center.y);
         let pixels: Vec<(usize, usize)> = pixels.filter(|pixel| off(pixel) < reach).collect();
         let brightest = pixels.iter().map(|&(u, v)| at(u, v)).fold(0.0, f64::max);
+        // Noise in the slopes makes shifts too small; the mean of both images has half the noise variance of one.
+        let sum = |image: &Image| -> f64 {
+            pixels.iter().map(|&(u, v)| f64::from(image.pixels[v * width + u])).sum()
+        };
+        let (of_white, of_board) = (0.5, 0.5 * sum(&white) / sum(&board).max(f64::MIN_POSITIVE));
+        let both = |u: usize, v: usize| {
+            of_white * at(u, v) + of_board * f64::from(board.pixels[v * width + u])
+        };
         let (from_middle, mut sums) = (place - all.middle(), Sums::none());
         let mut kept = 0;
         for pixel @ &(u, v) in &pixels {
@@ -214,7 +222,7 @@ impl Compared {
                 continue;
             }
             let (du, dv) =
-                ((at(u + 1, v) - at(u - 1, v)) / 2.0, (at(u, v + 1) - at(u, v - 1)) / 2.0);
+                ((both(u + 1, v) - both(u - 1, v)) / 2.0, (both(u, v + 1) - both(u, v - 1)) / 2.0);
             let laplacian = at(u + 1, v) + at(u - 1, v) + at(u, v + 1) + at(u, v - 1) - 4.0 * w;
             let (x, y) = (u as f64 - center.x, v as f64 - center.y);
             let along_radius = (du * x + dv * y) / off(pixel).max(1.0);

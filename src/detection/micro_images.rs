@@ -410,7 +410,7 @@ pub(super) mod tests {
         // Outer radii are 8 px, half the pitch.
         assert!((touching.optics(1, 1).reach_px() - 8.0).abs() < 1e-9);
         let wider = |pupil_px: f64| MicroImages { pupil_px, ..touching.clone() };
-        // Of 9.2 px, 2 % of half the pitch count as touching.
+        // An excess of 2 % of half the pitch, 9.2 px, counts as touching.
         let overlapping = wider(3.2).optics(1, 1);
         assert!((overlapping.outer_radius_px() - 9.2).abs() < 1e-9, "{overlapping:?}");
         assert!((overlapping.reach_px() - (8.0 - (9.2 - 8.16))).abs() < 1e-9, "{overlapping:?}");

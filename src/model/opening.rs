@@ -165,7 +165,7 @@ impl Opening {
 mod tests {
     use super::*;
 
-    /// Compares areas and second moments of the discs with those of the polygons: 2√3 and 4.
+    /// Compares the discs with the polygons by area, π, 2√3 and 4, and by second moment.
     #[test]
     fn mean_discs_have_the_area_and_the_width_of_the_shape() {
         let areas =

@@ -2,8 +2,9 @@
 //! offset τ).
 //!
 //! The grid of the paper is regular. If the array is tilted against the sensor, the pitch grows towards the side on
-//! which the micro-lenses are nearer to the main lens. The centres are then a projection c = p / (1 − t · p) with t = θ/(D + d) for a tilt of θ and the exit pupil in the lens. On an R12 with 1 mrad this is
-//! 0.4 px at the border, and gives θ to a few per cent before any board is seen.
+//! which the micro-lenses are nearer to the main lens. The centres are then a projection c = p / (1 − t · p) with
+//! t = θ/(D + d) for a tilt of θ and the exit pupil in the lens. On an R12 with 1 mrad this is 0.4 px at the border, and
+//! gives θ to a few per cent before any board is seen.
 
 use nalgebra::{Matrix2, Matrix6, Rotation2, Vector1, Vector2, Vector6};
 use rayon::prelude::*;

@@ -145,7 +145,7 @@ pub(super) fn measured(
     Ok((measured, of_light))
 }
 
-/// Light of the micro-images with the shape of the openings.
+/// Fit of pupil, blur and point spread to the white light, with the shape of the openings.
 struct Shaped {
     /// Discs, if the light shows them.
     discs: Option<Discs>,

@@ -211,30 +211,28 @@ fn dead_micro_lenses_give_no_light() {
     assert!((part - 0.9).abs() < 0.01, "a tenth of the micro-lenses is dead: {part}");
 }
 
+/// Light of a white image, not scaled by the exposure.
+fn flux(imperfections: Imperfections) -> f64 {
+    let reference = imperfect(imperfections).tracer(4.0).unwrap().reference_irradiance();
+    light(&white(imperfections)) * reference
+}
+
 /// All light passes the opening of some micro-lens. Where this opening is smaller than the projected
 /// pupil, as at f/4, the reference is proportional to its area too.
 #[test]
 fn the_aperture_ratio_scales_the_light_by_its_square() {
-    let scaled = |imperfections: Imperfections| {
-        let reference = imperfect(imperfections).tracer(4.0).unwrap().reference_irradiance();
-        light(&white(imperfections)) * reference
-    };
     let stopped = Imperfections { aperture_ratio: 0.8, ..Imperfections::default() };
-    let part = scaled(stopped) / scaled(Imperfections::default());
+    let part = flux(stopped) / flux(Imperfections::default());
     assert!((part / 0.64 - 1.0).abs() < 0.02, "0.8² of the light: {part}");
 }
 
 /// A hexagon has 2√3/π of the area of its inscribed disc.
 #[test]
 fn a_hexagonal_opening_has_the_light_of_its_area() {
-    let scaled = |imperfections: Imperfections| {
-        let reference = imperfect(imperfections).tracer(4.0).unwrap().reference_irradiance();
-        light(&white(imperfections)) * reference
-    };
     // Smaller ones keep micro-images apart.
     let disc = Imperfections { aperture_ratio: 0.8, ..Imperfections::default() };
     let hexagon = Imperfections { opening: Opening::Hexagon, ..disc };
-    let part = scaled(hexagon) / scaled(disc);
+    let part = flux(hexagon) / flux(disc);
     assert!((part / (12.0_f64.sqrt() / std::f64::consts::PI) - 1.0).abs() < 0.01, "{part}");
 }
 

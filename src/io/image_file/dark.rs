@@ -41,7 +41,7 @@ pub struct Dark {
     level: f32,
     /// Black level of the corrected images, grey levels of the files.
     black: f32,
-    /// Factor from grey levels of the files to those of the corrected images.
+    /// Grey levels of the corrected images per grey level of the files.
     scale: f32,
     /// Standard deviation between the pixels, grey levels of the files.
     scatter: f32,

@@ -1,7 +1,7 @@
 //! Files without a header: rows of samples, whole or packed.
 //!
-//! The names are those of the Pixel Format Naming Convention of GenICam (PFNC, EMVA), of GigE Vision for `Packed`, and of MIPI
-//! CSI-2 for `raw10` and `raw12`. A colour mosaic has the same layout.
+//! Names follow the Pixel Format Naming Convention of GenICam (PFNC, EMVA), GigE Vision (`Packed`) and MIPI CSI-2 (`raw10`,
+//! `raw12`). A colour mosaic has the same layout.
 
 use std::path::Path;
 
@@ -135,7 +135,7 @@ impl RawFormat {
         ((self.width, self.height, color), bytes)
     }
 
-    /// Decodes a file. An error if its size is not that of the stated layout.
+    /// Decodes a file. Returns an error if the stated layout needs another size.
     pub fn decode(&self, file: &[u8]) -> Result<Decoded> {
         let Self { layout, width, height, channels } = *self;
         let RawLayout { packing, header_bytes, row_bytes } = layout;

@@ -132,15 +132,15 @@ impl ImageReader {
         Ok(samples.saturating_mul(sample_bytes).saturating_add(file))
     }
 
-    /// Returns the black level of the images: that of the dark image, otherwise the stated one; `None` if neither is given.
+    /// Returns the black level of the dark image or, without one, the stated black level; `None` if neither is given.
     #[must_use]
     pub fn black_level(&self) -> Option<f64> {
         self.dark.as_ref().map(Dark::black_level).or(self.black_level)
     }
 
-    /// Returns findings about image files that declare samples that are not linear in light, or an orientation, about the
-    /// choice among several pages, and about the dark image. Declared curves and orientations are not applied: samples and pixels are
-    /// used as stored. A file that cannot be read gives no finding here, since reading it reports the reason.
+    /// Returns findings about declared tone curves and orientations, about several pages, and about the dark image. Declared
+    /// curves and orientations are not applied. A file that cannot be read gives no finding here, since reading it reports the
+    /// reason.
     #[must_use]
     pub fn findings<P: AsRef<Path> + Sync>(&self, images: &[P]) -> Vec<Finding> {
         let is_dark = |path: &Path| self.dark.as_ref().is_some_and(|dark| dark.is(path));

@@ -339,7 +339,7 @@ fn colored(numbers: Decoded, map: &[u64]) -> Result<Decoded> {
         || map.iter().all(|level| level % 256 == level / 256);
     let color = if is_grey(map) { Color::Grey } else { Color::Rgb };
     let (width, height) = (numbers.width, numbers.height);
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // of 16 bits at most
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most 16 bits
     let pixels: Vec<usize> =
         numbers.samples.into_numbers().into_iter().map(|number| number as usize).collect();
     if pixels.iter().any(|&number| number >= colors) {
