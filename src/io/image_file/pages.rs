@@ -47,7 +47,7 @@ impl FromStr for Pages {
     fn from_str(text: &str) -> std::result::Result<Self, String> {
         let number = || text.parse().ok().filter(|number| *number > 0).map(Self::Number);
         let stated = if text == "average" { Some(Self::Average) } else { number() };
-        stated.ok_or_else(|| format!("'{text}' are no pages: {WHAT}"))
+        stated.ok_or_else(|| format!("'{text}' is no page: {WHAT}"))
     }
 }
 
