@@ -246,7 +246,7 @@ pub(super) mod tests {
                         let center = pinhole + node * 7.0;
                         // A few rounds solve w = (γ − 1)(c − p) − E/A.
                         let straight = (center - pinhole) * (slope - 1.0);
-                        let bend = aberration.bend(&center, slope);
+                        let bend = aberration.bend(&center, 0.0, slope);
                         let w = (0..20).fold(straight, |w, _| straight - bend.at(&w));
                         let by_ratio = bend.terms(&w).column(0) * BENT_BY_RATIO;
                         let moved = by_ratio * log_ratio;

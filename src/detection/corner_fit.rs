@@ -19,6 +19,7 @@ use super::{Aberration, MicroOptics};
 use crate::model::TAKEN;
 use crate::model::taken::{APERTURE_RATIO, FALL_OFF, INTERCEPT, POINT_SPREAD, PUPIL};
 use crate::numerics::simd::{dot, products};
+use crate::optics::aberration::smaller_by_growth;
 use crate::optics::{Bundle, Column, CornerEdges, CornerLight};
 
 /// Derivatives of a position by the quantities that all corners share, px; those by aberrations are 0 before the fit of lines: see [`crate::model::TAKEN_QUANTITIES`].
@@ -39,7 +40,7 @@ pub(super) struct FittedCorner {
 pub(super) struct Sensitivities {
     /// Derivative by the slope, px.
     pub by_slope: Vector2<f64>,
-    /// Derivatives by S, b and M of its micro-image, see [`Aberration`].
+    /// Derivatives by S, b and M at its position, in the scale of the middle of the image, see [`Aberration`].
     pub by_aberration: SMatrix<f64, 2, 5>,
     /// Derivatives by the quantities that all corners share.
     pub by_taken: ByTaken,
@@ -106,7 +107,7 @@ impl Held<'_> {
         Bundle::new(rho, q, optics.pupil_px, self.point_spread_px2)
             .through(optics.opening, optics.normal_rad)
             .oblique(&optics.obliquity)
-            .aberrated(&self.aberration.bend(&self.center, slope))
+            .aberrated(&self.aberration.bend(&self.center, optics.growth, slope))
             .wider(self.wider_px2)
     }
 
@@ -204,7 +205,8 @@ impl Held<'_> {
         // The columns are S, b and M over A, and 1/A is γ − 1.
         let by_bend = by.fixed_columns::<5>(HELD - 5);
         let by_slope =
-            by_radius * optics.blur_by_slope_px() + by_bend * self.aberration.at(&self.center);
+            by_radius * optics.blur_by_slope_px()
+                + by_bend * self.aberration.at(&self.center, optics.growth);
         let mut by_taken = ByTaken::zeros();
         let columns = [
             (PUPIL, of(Column::Pupil) * optics.pupil_px),
@@ -220,7 +222,8 @@ impl Held<'_> {
         for (taken, column) in columns {
             by_taken.set_column(taken, &column);
         }
-        let by_aberration = by_bend * (slope - 1.0);
+        let by_aberration =
+            by_bend * SMatrix::from_diagonal(&smaller_by_growth(optics.growth)) * (slope - 1.0);
         Sensitivities { by_slope, by_aberration, by_taken }
     }
 }

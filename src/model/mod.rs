@@ -48,4 +48,4 @@ pub use reprojection::{CenterResidual, FeatureResidual, Reprojection, Rmse};
 pub(crate) use sensor::MOST_PIXELS;
 pub use sensor::Sensor;
 pub use tilt_gradient::TiltGradient;
-pub(crate) use tilt_gradient::growth_per_px;
+pub(crate) use tilt_gradient::{growth_per_px, lens_over_pupil};

@@ -4,6 +4,7 @@ use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
+use crate::quantity::Estimate;
 
 /// Tilt gradient ∇ ln d of the array, measured on white images alone: the relative growth of the distance between array and
 /// sensor along u and v. It is θ_y and −θ_x over d, to first order and with d in pixels.
@@ -33,6 +34,9 @@ const PUPIL: f64 = 0.5;
 const SURE: f64 = 2.0;
 /// Least σ of a growth of d, used if the growth is nearly 0, px⁻¹.
 const LEAST_GROWTH: f64 = 1e-7;
+/// Rounds of the ratio of distances, whose weights depend on it, and its least value.
+const ROUNDS: usize = 4;
+const LEAST_RATIO: f64 = 0.1;
 
 /// Estimates ∇ ln d, px⁻¹, before a calibration, from the discs of white images and from the perspective of the centres,
 /// t = ∇d/(D + e_z + d). The latter is as uncertain as the distance of the exit pupil from the sensor; `lens_to_sensor` is (D +
@@ -53,6 +57,32 @@ pub(crate) fn growth_per_px(
         let weights = (measured.std_dev_per_px[i].powi(-2), std_dev.powi(-2));
         (by_discs * weights.0 + by_perspective * weights.1) / (weights.0 + weights.1)
     })
+}
+
+/// Estimates (D + d)/(D + e_z + d), the ratio of the distances of main lens and exit pupil from the sensor, from the growth of
+/// the discs and the perspective of the centres, of which this is the quotient. Without tilt it is 1 ± 0.5: the pupil may be
+/// in the lens or, of a telecentric lens, at infinity.
+#[must_use]
+pub(crate) fn lens_over_pupil(
+    tilt_gradient: Option<&TiltGradient>,
+    perspective_per_px: &Vector2<f64>,
+    lens_to_sensor: f64,
+) -> Estimate {
+    let mut found = Estimate::new(1.0, PUPIL);
+    let Some(measured) = tilt_gradient.filter(|_| perspective_per_px.norm() > 0.0) else {
+        return found;
+    };
+    for _ in 0..ROUNDS {
+        let mut information = PUPIL.powi(-2);
+        let mut sum = information;
+        for (i, growth) in measured.growth_per_px.iter().enumerate() {
+            let weight = (found.value * measured.std_dev_per_px[i]).powi(-2);
+            information += weight * growth * growth;
+            sum += weight * growth * perspective_per_px[i] * lens_to_sensor;
+        }
+        found = Estimate::new((sum / information).max(LEAST_RATIO), information.powf(-0.5));
+    }
+    found
 }
 
 impl TiltGradient {

@@ -15,6 +15,9 @@
 //! like the rays through the zone z. The choice of the zone is free: an S with another z equals the same S with another A. With
 //! z² = 2a²/3, the best focus, S and A are hardly correlated; S is often not well determined.
 //!
+//! Where the array is further from the sensor than in the middle, by the fraction g, images of the pupil are larger: w belongs to
+//! the point w/(1 + g) of the pupil. So S, b and M are smaller by (1 + g)³, (1 + g)² and 1 + g, and z is larger by 1 + g.
+//!
 //! E displaces each ray of the blur according to its own point of the pupil. The same blur for all rays would hide three
 //! quarters of the aberration, and turn them into errors of position.
 
@@ -79,6 +82,13 @@ pub(crate) fn field_terms(x: &Vector2<f64>) -> SMatrix<f64, 5, FIELD> {
     ])
 }
 
+/// Returns the factors of S, b and M where d is larger by the fraction `growth`.
+pub(crate) fn smaller_by_growth(growth: f64) -> Vector5<f64> {
+    let inverse = 1.0 / (1.0 + growth);
+    let (squared, cubed) = (inverse * inverse, inverse * inverse * inverse);
+    Vector5::new(cubed, squared, squared, inverse, inverse)
+}
+
 impl Aberration {
     /// Creates an ideal main lens, for a pupil of this radius, with the optical axis at `axis_px`.
     pub(crate) fn none(axis_px: Vector2<f64>, pupil_px: f64) -> Self {
@@ -86,14 +96,18 @@ impl Aberration {
         Self { axis_px, zone_px2, coefficients_per_px2: Vector3::zeros() }
     }
 
-    /// Returns the aberration in the micro-image about `center`, for a corner with a line of this slope.
-    pub(crate) fn bend(&self, center: &Vector2<f64>, slope: f64) -> Bend {
-        Bend { zone2: self.zone_px2, coefficients: self.at(center) * (slope - 1.0) }
+    /// Returns the aberration in the micro-image about `center`, where d is larger by the fraction `growth`, for a corner with a
+    /// line of this slope.
+    pub(crate) fn bend(&self, center: &Vector2<f64>, growth: f64, slope: f64) -> Bend {
+        Bend {
+            zone2: self.zone_px2 * (1.0 + growth).powi(2),
+            coefficients: self.at(center, growth) * (slope - 1.0),
+        }
     }
 
-    /// Returns S, b and M in the micro-image about `center`.
-    pub(crate) fn at(&self, center: &Vector2<f64>) -> Vector5<f64> {
-        field_terms(center) * self.of_field()
+    /// Returns S, b and M in the micro-image about `center`, where d is larger by the fraction `growth`.
+    pub(crate) fn at(&self, center: &Vector2<f64>, growth: f64) -> Vector5<f64> {
+        (field_terms(center) * self.of_field()).component_mul(&smaller_by_growth(growth))
     }
 
     /// Returns the coefficients of [`field_terms`].
@@ -194,8 +208,12 @@ mod tests {
         for (i, expected) in by_hand.into_iter().enumerate() {
             let mut aberration = Aberration::none(axis, 6.0);
             aberration.coefficients_per_px2[i] = 1.0;
-            let bend = aberration.bend(&Vector2::new(120.0, -30.0), 0.75);
+            let center = Vector2::new(120.0, -30.0);
+            let bend = aberration.bend(&center, 0.0, 0.75);
             let found = bend.at(&Vector2::new(3.0, 4.0));
+            assert!((found + expected * 0.25).norm() < 1e-9, "{i}: {found}");
+            // The same ray where d is larger by a fifth.
+            let found = aberration.bend(&center, 0.2, 0.75).at(&Vector2::new(3.6, 4.8));
             assert!((found + expected * 0.25).norm() < 1e-9, "{i}: {found}");
         }
     }
@@ -215,7 +233,7 @@ mod tests {
             let moved = |by: f64| {
                 let mut x = at;
                 x[i] += by;
-                with(&x).at(&center)
+                with(&x).at(&center, 0.0)
             };
             let expected = (moved(step) - moved(-step)) / (2.0 * step);
             let error = (found.column(i) - expected).norm();

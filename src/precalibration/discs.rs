@@ -30,7 +30,7 @@ const REACHES_PX2: f64 = 0.02;
 
 /// Prior of c and its standard deviation: between a thin lens and a double Gauss.
 const SINE: (f64, f64) = (0.7, 0.7);
-/// Model error of H, relative to the H of cos⁴. H changes the light by a hundredth, so model errors of a thousandth
+/// Relative model error of H, or of cos⁴ if H is smaller. H changes the light by a hundredth, so model errors of a thousandth
 /// matter: in data sets of simulated cameras H is 3 to 22 % too small.
 const WITHIN_MODEL: f64 = 0.12;
 /// Prior of the relative error of f-numbers, and its weight in white images. With five white images the prior hardly
@@ -59,9 +59,6 @@ const LEAST_PX: f64 = 0.05;
 
 /// Number of parameters of a profile: both radii, H and the point spread.
 const OF_LIGHT: usize = 4;
-/// Relative standard deviation of H if it follows from G by the law of the angle: the pupil may be off the lens, and
-/// pixels respond differently to the two angles.
-pub(super) const WITHIN: f64 = 0.25;
 
 /// Start of the fit, and quantities that it holds.
 #[derive(Debug, Clone)]
@@ -76,8 +73,10 @@ pub(super) struct Known {
     pub mla_to_sensor_px: f64,
     /// Micro-image pitch Δc, px.
     pub pitch_px: f64,
-    /// H relative to the H of cos⁴.
-    pub within: f64,
+    /// H relative to the H of cos⁴, from G.
+    pub within: Estimate,
+    /// Distance L of the exit pupil from the sensor over d, as far as it is known.
+    pub pupil_to_sensor: f64,
     /// Shape of the openings of the micro-lenses.
     pub opening: Opening,
 }
@@ -165,7 +164,7 @@ impl<'a> Fit<'a> {
     fn new(profiles: &[Vec<&Profile>], known: &'a Known) -> Self {
         let pupils = known.f_numbers.iter().map(|n| known.m_px / n);
         let blurs = known.q_px.iter().map(|q| q.abs().max(LEAST_PX));
-        let at = pupils.chain(blurs).chain([known.within, SPREAD.0, known.m_px, SINE.0]);
+        let at = pupils.chain(blurs).chain([known.within.value, SPREAD.0, known.m_px, SINE.0]);
         let at = DVector::from_vec(at.collect());
         let mut fit = Self { known, lights: Vec::new(), at, f_number_error: F_NUMBERS.0 };
         fit.take_light(profiles, 0.0);
@@ -279,9 +278,11 @@ impl<'a> Fit<'a> {
     /// Returns the discs of one profile.
     fn discs_of(&self, light: &Light) -> WhiteDiscs {
         let [pupil_px, blur, within, _] = self.places(light).map(|i| self.at[i]);
-        let Known { mla_to_sensor_px, pitch_px, .. } = *self.known;
-        let (within, opening_px) = (within * self.known.cos4_per_px2(), pitch_px / 2.0);
-        let law = Obliquity::in_the_middle(within, mla_to_sensor_px, opening_px);
+        let Known { mla_to_sensor_px, pitch_px, pupil_to_sensor, .. } = *self.known;
+        let within = within * self.known.cos4_per_px2();
+        let law = Obliquity::in_the_middle(within, mla_to_sensor_px, pitch_px / 2.0);
+        // The micro-image pitch is the lens pitch projected from the pupil.
+        let opening_px = pitch_px / 2.0 * (1.0 - 1.0 / pupil_to_sensor);
         let q_px = blur * self.known.q_px[light.lens_type].signum();
         WhiteDiscs { pupil_px, q_px, opening_px, opening: self.known.opening, law }
     }
@@ -341,8 +342,7 @@ impl<'a> Fit<'a> {
             ((self.at[i] - pupil) * scale, row)
         };
         let mut all: Vec<_> = self.known.f_numbers.iter().enumerate().map(of_white).collect();
-        let known = self.known.within;
-        let within = (known, WITHIN * known.abs().max(1.0));
+        let within = (self.known.within.value, self.known.within.std_dev);
         for (i, (value, std_dev)) in [(h, within), (spread, SPREAD), (c, SINE)] {
             all.push(((self.at[i] - value) / std_dev, vec![(i, 1.0 / std_dev)]));
         }
@@ -444,7 +444,8 @@ impl<'a> Fit<'a> {
     fn discs(&self, normal: &DMatrix<f64>) -> Option<Discs> {
         let ([h, spread], [m, c]) = (self.of_all(), self.law());
         let mut covariance = normal.clone().cholesky()?.inverse();
-        for (quantity, std_dev) in [(spread, SPREAD_MODEL), (h, WITHIN_MODEL)] {
+        let within_model = WITHIN_MODEL * self.at[h].abs().max(1.0);
+        for (quantity, std_dev) in [(spread, SPREAD_MODEL), (h, within_model)] {
             covariance = with_model_error(covariance, quantity, std_dev);
         }
         let of = |i: usize| (self.at[i], covariance[(i, i)].sqrt());
@@ -526,7 +527,8 @@ mod tests {
             mla_to_sensor_px: D_PX,
             pitch_px: PITCH_PX,
             opening: Opening::Disc,
-            within: 1.8,
+            within: Estimate::new(1.8, 0.5),
+            pupil_to_sensor: f64::INFINITY,
         };
         let profiles: Vec<Vec<&Profile>> = whites.iter().map(|of| of.iter().collect()).collect();
         fit_discs(&profiles, &known)

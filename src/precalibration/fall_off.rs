@@ -11,15 +11,14 @@ use tracing::debug;
 use super::array::FoundArray;
 use super::centroid::{Blob, WINDOW};
 use super::disc_geometry::DiscGeometry;
-use super::discs::WITHIN;
 use super::options::PrecalibrationOptions;
 use super::rings::{Alike, Gradient};
 use super::samples::Samples;
-use super::tilt_gradient::{Growth, tilt_gradient, with_shared};
+use super::tilt_gradient::{Growth, tilt_gradient};
 use crate::checks::whites as checks;
 use crate::finding::Finding;
 use crate::image::Grey;
-use crate::model::{FallOff, InternalParameters, TiltGradient};
+use crate::model::{FallOff, InternalParameters, TiltGradient, lens_over_pupil};
 use crate::numerics::{NormalEquations, Outliers, Scale, Weight};
 use crate::optics::Obliquity;
 use crate::quantity::Estimate;
@@ -38,6 +37,9 @@ const ROUNDS: usize = 4;
 /// Largest σ of a known angular response, relative to cos⁴. Corners near the border of an R12 are then right to 0.01
 /// px.
 const KNOWN: f64 = 0.2;
+/// Relative σ of H if it follows from G by the law of the angle: pixels respond differently to the two angles, and the main
+/// lens has vignetting and pupil aberrations.
+const LAW: f64 = 0.25;
 /// Aperture ratios of micro-lenses with gaps. The parabola in ln φ through these and φ = 1 gives the tilt gradient at
 /// 0.8 to half a per cent.
 const OTHERWISE: [f64; 2] = [0.9, 0.7];
@@ -47,6 +49,8 @@ pub(super) struct Measured {
     pub fall_off: FallOff,
     /// Tilt gradient of the array, if it shows.
     pub tilt_gradient: Option<TiltGradient>,
+    /// Distance L = D + e_z + d of the exit pupil from the sensor over d.
+    pub pupil_to_sensor: f64,
     /// Finding if the angular response was not measured.
     pub finding: Option<Finding>,
 }
@@ -57,6 +61,8 @@ pub(super) struct Light {
     of_images: Vec<(f64, Vec<Alike>)>,
     reach_px: f64,
     seen_pitch_px: f64,
+    /// Perspective of the centres, px⁻¹.
+    perspective_per_px: Vector2<f64>,
     /// Middle of the image, px.
     middle: Vector2<f64>,
 }
@@ -94,6 +100,7 @@ impl Light {
             of_images,
             reach_px: REACH * pitch,
             seen_pitch_px: found.array.grid.pitch_px,
+            perspective_per_px: found.array.grid.perspective_per_px,
             middle: Vector2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0,
         }
     }
@@ -116,12 +123,17 @@ impl Light {
         let cos4 = FallOff::cos4(mla_to_sensor_px, lens_to_sensor_px, self.middle);
         let known = |fall_off: &FallOff| fall_off.std_dev_per_px2 < KNOWN * cos4.growth_per_px2;
         let gradients = self.gradients(internal, options, law);
-        let tilt_gradient = self.tilt_gradient(&gradients);
-        debug!("{tilt_gradient:?}");
+        let tilt_gradient = self.tilt_gradient(&gradients, None);
+        let lens_to_sensor = lens_to_sensor_px / mla_to_sensor_px;
+        let pupil =
+            lens_over_pupil(tilt_gradient.as_ref(), &self.perspective_per_px, lens_to_sensor);
+        let pupil_to_sensor = lens_to_sensor / pupil.value;
+        debug!("{tilt_gradient:?}, (D + d)/(D + e_z + d) {pupil:?}");
         let Some(measured) = plane(&gradients.concat()).filter(known) else {
             let within_std_dev_per_px2 = cos4.within_per_px2;
             let fall_off = FallOff { within_std_dev_per_px2, ..cos4 };
-            return Measured { fall_off, tilt_gradient, finding: Some(checks::response_unknown()) };
+            let finding = Some(checks::response_unknown());
+            return Measured { fall_off, tilt_gradient, pupil_to_sensor, finding };
         };
         let [growth, std_dev] =
             [measured.growth_per_px2, measured.std_dev_per_px2].map(|x| x / cos4.growth_per_px2);
@@ -129,58 +141,69 @@ impl Light {
             "light falls off by {growth:.3} ± {std_dev:.3} of cos⁴ over the image, about {:.1?} px",
             measured.middle_px,
         );
-        // The same law inside micro-images, with the pupil assumed in the lens.
-        let within_per_px2 = measured.growth_per_px2 * lens_to_sensor_px / mla_to_sensor_px;
-        let within_std_dev_per_px2 = WITHIN * within_per_px2.abs();
+        // The same law inside micro-images: H = G (D + e_z + d)/d.
+        let within_per_px2 = measured.growth_per_px2 * pupil_to_sensor;
+        // The larger side of the error of a quotient: the pupil may be far away.
+        let of_pupil = pupil.std_dev / (pupil.value - pupil.std_dev).max(pupil.std_dev);
+        let within_std_dev_per_px2 =
+            LAW.hypot(of_pupil) * within_per_px2.abs().max(cos4.within_per_px2);
         Measured {
             fall_off: FallOff { within_per_px2, within_std_dev_per_px2, ..measured },
             tilt_gradient,
+            pupil_to_sensor,
             finding: None,
         }
     }
 
-    fn tilt_gradient(&self, gradients: &[Vec<Gradient>]) -> Option<TiltGradient> {
-        let growths = |group: &Vec<Gradient>| group.iter().map(|g| g.growth).collect();
-        let growths: Vec<Vec<Growth>> = gradients.iter().map(growths).collect();
-        tilt_gradient(&growths, &self.middle)
+    fn tilt_gradient(
+        &self,
+        gradients: &[Vec<Gradient>],
+        otherwise: Option<&[Vec<Gradient>]>,
+    ) -> Option<TiltGradient> {
+        let of_group = |group: &Vec<Gradient>| group.iter().map(|g| g.growth).collect();
+        let growths = |all: &[Vec<Gradient>]| -> Vec<Vec<Growth>> {
+            all.iter().map(of_group).collect()
+        };
+        tilt_gradient(&growths(gradients), otherwise.map(growths).as_deref(), &self.middle)
     }
 
-    /// Completes a tilt gradient by its dependence on two quantities that its measurement assumes: the aperture ratio,
-    /// which white images do not show, and H, whose σ enters the σ of both axes. Returns `None` if no tilt gradient
-    /// shows with another value of either.
+    /// Returns the tilt gradient with the error of H, and its dependence on the aperture ratio, which white images do not show.
+    /// Returns `None` if no tilt gradient shows with another aperture ratio or another H.
     pub fn complete(
         &self,
-        tilt_gradient: TiltGradient,
         internal: &InternalParameters,
         options: &PrecalibrationOptions,
         law: &Obliquity,
         fall_off: &FallOff,
     ) -> Option<TiltGradient> {
-        let pitch_mm = self.seen_pitch_px * options.pixel_size_mm;
-        let than = |other: &TiltGradient| {
-            [0, 1].map(|i| other.growth_per_px[i] - tilt_gradient.growth_per_px[i])
+        let (_, mla_to_sensor_px) = options.distances_px(internal.m_mm);
+        let within = law.within_per_px2 + fall_off.within_std_dev_per_px2;
+        let otherwise =
+            Obliquity::in_the_middle(within, mla_to_sensor_px, self.seen_pitch_px / 2.0);
+        let of = |internal: &InternalParameters| {
+            let [at, otherwise] =
+                [law, &otherwise].map(|law| self.gradients(internal, options, law));
+            self.tilt_gradient(&at, Some(&otherwise))
         };
+        let tilt_gradient = of(internal)?;
+        debug!("with the error of H: {tilt_gradient:?}");
+        let pitch_mm = self.seen_pitch_px * options.pixel_size_mm;
         // Change of the tilt gradient over the change of ln φ.
         let with_gaps = |value: f64| {
             let narrower = internal.with_aperture_ratio(Estimate::exact(value), pitch_mm);
-            let by_ratio = self.tilt_gradient(&self.gradients(&narrower, options, law))?;
+            let other = of(&narrower)?;
             let change = (value / internal.aperture_ratio()).ln();
-            Some((change, than(&by_ratio).map(|by| by / change)))
+            let than = |i: usize| other.growth_per_px[i] - tilt_gradient.growth_per_px[i];
+            Some((change, [0, 1].map(|i| than(i) / change)))
         };
         let [(near, slope), (far, other)] = [with_gaps(OTHERWISE[0])?, with_gaps(OTHERWISE[1])?];
         let by_aperture_ratio_squared_per_px = [0, 1].map(|i| (other[i] - slope[i]) / (far - near));
         let by_aperture_ratio_per_px =
             [0, 1].map(|i| slope[i] - by_aperture_ratio_squared_per_px[i] * near);
-        let (_, mla_to_sensor_px) = options.distances_px(internal.m_mm);
-        let within = fall_off.within_per_px2 + fall_off.within_std_dev_per_px2;
-        let otherwise =
-            Obliquity::in_the_middle(within, mla_to_sensor_px, self.seen_pitch_px / 2.0);
-        let by_law = self.tilt_gradient(&self.gradients(internal, options, &otherwise))?;
-        debug!("with H by its σ larger: {by_law:?}");
         Some(TiltGradient {
             by_aperture_ratio_per_px,
             by_aperture_ratio_squared_per_px,
-            ..with_shared(&tilt_gradient, than(&by_law))
+            ..tilt_gradient
         })
     }
 

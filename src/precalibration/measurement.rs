@@ -74,9 +74,8 @@ pub(super) fn measured(
     let cos4 = in_the_middle(None, &lines, seen_pitch_px, options);
     let mut first = light.fall_off(&lines, options, &cos4);
     // Straight lines are accurate enough for a start.
-    let start = (&lines, first.fall_off.within_per_px2);
     let Shaped { discs: of_light, cell_share, doubtful: doubtful_opening } =
-        shaped(&samples, &by_profile, &found, options, start)?;
+        shaped(&samples, &by_profile, &found, options, (&lines, &first))?;
     let discs = of_light.as_ref();
     take_within(&mut first.fall_off, discs);
     let obliquity = in_the_middle(Some(&first.fall_off), &lines, seen_pitch_px, options);
@@ -88,7 +87,7 @@ pub(super) fn measured(
         samples.oblique(&by_profile, &internal_of(&by_profile)?.parameters, &obliquity);
     let oblique = internal_of(&by_profile)?;
     // Repeated with the fitted discs.
-    let Measured { mut fall_off, tilt_gradient, finding: unknown_fall_off } =
+    let Measured { mut fall_off, tilt_gradient, finding: unknown_fall_off, .. } =
         light.fall_off(&oblique.parameters, options, &obliquity);
     take_within(&mut fall_off, discs);
     let geometry =
@@ -105,9 +104,8 @@ pub(super) fn measured(
     let mut radii = samples.measurements(&by_type);
     let mut internal = samples.internal(discs, &mut radii, &by_type, array.grid.pitch_px)?;
     internal.parameters.fall_off = Some(fall_off);
-    internal.parameters.tilt_gradient = tilt_gradient.and_then(|tilt_gradient| {
-        light.complete(tilt_gradient, &oblique.parameters, options, &obliquity, &fall_off)
-    });
+    internal.parameters.tilt_gradient = tilt_gradient
+        .and_then(|_| light.complete(&oblique.parameters, options, &obliquity, &fall_off));
     internal.parameters.levels = Some(levels);
     let wrong_f_number = doubt.map(|doubt| doubt.finding);
     // With a wrong f-number the lines cannot judge the aperture of the reference.
@@ -160,11 +158,12 @@ fn shaped(
     by_profile: &[Vec<TypeRadius>],
     found: &FoundArray,
     options: &PrecalibrationOptions,
-    (lines, within_per_px2): (&InternalParameters, f64),
+    (lines, first): (&InternalParameters, &Measured),
 ) -> Result<Shaped> {
     let grid = &found.array.grid;
+    let response = (&first.fall_off, first.pupil_to_sensor);
     let of_shape =
-        |opening: Opening| samples.discs(by_profile, lines, within_per_px2, grid.pitch_px, opening);
+        |opening: Opening| samples.discs(by_profile, lines, response, grid.pitch_px, opening);
     let discs = of_shape(Opening::Disc);
     let mut radii = samples.measurements(by_profile);
     let round = samples.internal(discs.as_ref(), &mut radii, by_profile, grid.pitch_px)?;

@@ -14,8 +14,9 @@ use super::profile::own_light_px;
 use super::radii::{RadiusEstimator, TypeRadius, middle_nodes, radius_at};
 use crate::error::{Error, Result};
 use crate::image::{Grey, Image};
-use crate::model::{InternalParameters, LatticeKind, Opening, SampleLevels};
+use crate::model::{FallOff, InternalParameters, LatticeKind, Opening, SampleLevels};
 use crate::optics::{Obliquity, WhiteDiscs};
+use crate::quantity::Estimate;
 
 /// Tolerances of the patterns of one camera at two f-numbers: of the pitch, relative, and of the position, in pitches.
 /// Oblique light changes both by less.
@@ -122,18 +123,20 @@ impl<'a> Samples<'a> {
         self.whites.par_iter().zip(radii).map(of_white).collect()
     }
 
-    /// Fits the discs to the light of all white images, from a start by straight lines and H. Returns `None` if the
+    /// Fits the discs to the light of all white images, from a start by straight lines, the angular
+    /// response, and the distance of the exit pupil from the sensor over d. Returns `None` if the
     /// light does not determine them.
     pub fn discs(
         &self,
         radii: &[Vec<TypeRadius>],
         internal: &InternalParameters,
-        within_per_px2: f64,
+        (fall_off, pupil_to_sensor): (&FallOff, f64),
         micro_image_pitch_px: f64,
         opening: Opening,
     ) -> Option<Discs> {
         let pixel = self.options.pixel_size_mm;
         let mla_to_sensor_px = self.options.distances_px(internal.m_mm).1;
+        let FallOff { within_per_px2, within_std_dev_per_px2, .. } = *fall_off;
         let known = Known {
             f_numbers: self.whites.iter().map(|white| white.f_number).collect(),
             m_px: internal.m_mm / pixel,
@@ -144,7 +147,9 @@ impl<'a> Samples<'a> {
                 .collect(),
             mla_to_sensor_px,
             pitch_px: micro_image_pitch_px,
-            within: within_per_px2 * mla_to_sensor_px.powi(2) / 4.0,
+            within: Estimate::new(within_per_px2, within_std_dev_per_px2)
+                .scaled(mla_to_sensor_px.powi(2) / 4.0),
+            pupil_to_sensor,
             opening,
         };
         let profiles: Vec<Vec<_>> =

@@ -7,7 +7,7 @@
 //! Vignetting by the main lens cuts discs too, but equally on both sides of the axis. So a part of the growth that is
 //! even in the position is also fitted.
 
-use nalgebra::{SMatrix, SVector, Vector1, Vector2, Vector6};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector1, Vector2, Vector3, Vector6};
 
 use crate::model::TiltGradient;
 use crate::numerics::{self, NormalEquations, Outliers, Reweighted, Scale, Weight};
@@ -38,42 +38,89 @@ const ROUNDS: usize = 6;
 const SETTLED: f64 = 1e-12;
 /// Unit of positions in the fit, px, which keeps the equations in scale.
 const UNIT_PX: f64 = 1000.0;
+/// Unit of slopes in the mean of the groups, px⁻¹.
+const UNIT: f64 = 1e-6;
 
-/// Estimates the tilt gradient about `middle` from all groups, each of one lens type in one white image. Returns `None`
-/// without two groups that show it. Groups differ by more than their noise if the discs are not as modelled. σ includes
-/// their scatter and the model error, which both axes share.
-pub(super) fn tilt_gradient(groups: &[Vec<Growth>], middle: &Vector2<f64>) -> Option<TiltGradient> {
-    let of_groups: Vec<(Vector2<f64>, Vector2<f64>)> =
-        groups.iter().filter_map(|growths| slope(growths, middle)).collect();
-    if of_groups.len() < 2 {
+/// Slope of the growth over the image along u and v in one group, px⁻¹, with its variances, and its change if H is larger by its
+/// σ.
+#[derive(Debug, Clone, Copy)]
+struct Slope {
+    value: Vector2<f64>,
+    variance: Vector2<f64>,
+    by_law: Vector2<f64>,
+}
+
+/// Estimates the tilt gradient about `middle` from all groups, each of one lens type in one white image. `otherwise` are the
+/// groups with H larger by its σ, if this is known: where blur and pupil nearly cancel, growth depends on H, so that groups
+/// which disagree show H. Returns `None` without two groups that show the tilt. Groups differ by more than their noise if the
+/// discs are not as modelled. σ includes their scatter, H and the model error; both axes share the latter two.
+pub(super) fn tilt_gradient(
+    groups: &[Vec<Growth>],
+    otherwise: Option<&[Vec<Growth>]>,
+    middle: &Vector2<f64>,
+) -> Option<TiltGradient> {
+    let of_group = |(i, growths): (usize, &Vec<Growth>)| {
+        let (value, variance) = slope(growths, middle)?;
+        let by_law = match otherwise {
+            Some(otherwise) => slope(&otherwise[i], middle)?.0 - value,
+            None => Vector2::zeros(),
+        };
+        Some(Slope { value, variance, by_law })
+    };
+    let slopes: Vec<Slope> = groups.iter().enumerate().filter_map(of_group).collect();
+    if slopes.len() < 2 {
         return None;
     }
-    let axis = |i: usize| {
-        type Group = (Vector2<f64>, Vector2<f64>);
-        let weight = |group: &Group, more: f64| 1.0 / (group.1[i] + more);
-        let weights = |more: f64| of_groups.iter().map(|g| weight(g, more)).sum::<f64>();
-        let sum = |more: f64| of_groups.iter().map(|g| weight(g, more) * g.0[i]).sum::<f64>();
-        let more = (OF_GROUP * sum(0.0) / weights(0.0)).powi(2);
-        let (weights, mean) = (weights(more), sum(more) / weights(more));
-        let scatter: f64 =
-            of_groups.iter().map(|g| weight(g, more) * (g.0[i] - mean).powi(2)).sum();
-        let excess = (scatter / (of_groups.len() as f64 - 1.0)).max(1.0);
-        (mean, (excess / weights).sqrt())
-    };
-    let (along_u, along_v) = (axis(0), axis(1));
-    let growth_per_px = [along_u.0, along_v.0];
+    let mut variances: Vec<Vector2<f64>> = slopes.iter().map(|slope| slope.variance).collect();
+    let (first, _) = common(&slopes, &variances)?;
+    for variance in &mut variances {
+        *variance += first.xy().map(|growth| (OF_GROUP * growth).powi(2));
+    }
+    let (found, _) = common(&slopes, &variances)?;
+    let excess = Vector2::from_fn(|i, _| {
+        let square = |(slope, variance): (&Slope, &Vector2<f64>)| {
+            (slope.value[i] + found.z * slope.by_law[i] - found[i]).powi(2) / variance[i]
+        };
+        let squares: f64 = slopes.iter().zip(&variances).map(square).sum();
+        (squares / (slopes.len() as f64 - 1.0)).max(1.0)
+    });
+    for variance in &mut variances {
+        variance.component_mul_assign(&excess);
+    }
+    let (found, covariance) = common(&slopes, &variances)?;
+    let of_law = covariance.column(2) / covariance[(2, 2)].sqrt();
     let own = TiltGradient {
-        growth_per_px,
-        std_dev_per_px: [along_u.1, along_v.1],
-        shared_per_px: [0.0; 2],
+        growth_per_px: [found.x, found.y],
+        std_dev_per_px: [0, 1].map(|i| covariance[(i, i)].sqrt()),
+        shared_per_px: [of_law.x, of_law.y],
         by_aperture_ratio_per_px: [0.0; 2],
         by_aperture_ratio_squared_per_px: [0.0; 2],
     };
-    Some(with_shared(&own, growth_per_px.map(|growth| MODEL * growth)))
+    Some(with_shared(&own, own.growth_per_px.map(|growth| MODEL * growth)))
+}
+
+/// Returns the slopes along u and v that all groups have in common and the error of H over its σ, with their covariance.
+fn common(slopes: &[Slope], variances: &[Vector2<f64>]) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    let mut equations = NormalEquations::<f64, 3, 1>::new();
+    equations.add(&Vector3::z(), &Vector1::new(0.0), 1.0);
+    for (slope, variance) in slopes.iter().zip(variances) {
+        for i in 0..2 {
+            let mut row = Vector3::new(0.0, 0.0, -slope.by_law[i] / UNIT);
+            row[i] = 1.0;
+            let weight = UNIT * UNIT / variance[i];
+            equations.add(&row, &Vector1::new(slope.value[i] / UNIT), weight);
+        }
+    }
+    let unit = Vector3::new(UNIT, UNIT, 1.0);
+    let covariance = equations.normal().try_inverse()?;
+    Some((
+        equations.solve()?.component_mul(&unit),
+        covariance.component_mul(&(unit * unit.transpose())),
+    ))
 }
 
 /// Adds an error that both axes share to a tilt gradient.
-pub(super) fn with_shared(tilt_gradient: &TiltGradient, by_per_px: [f64; 2]) -> TiltGradient {
+fn with_shared(tilt_gradient: &TiltGradient, by_per_px: [f64; 2]) -> TiltGradient {
     let signed = |i: usize| {
         tilt_gradient.shared_per_px[i].hypot(by_per_px[i]).copysign(tilt_gradient.growth_per_px[i])
     };
@@ -176,7 +223,7 @@ mod tests {
     }
 
     fn found(groups: &[Vec<Growth>]) -> TiltGradient {
-        tilt_gradient(groups, &Vector2::from(MIDDLE)).unwrap()
+        tilt_gradient(groups, None, &Vector2::from(MIDDLE)).unwrap()
     }
 
     #[test]
@@ -199,9 +246,9 @@ mod tests {
             let of_model = tilt_gradient.shared_per_px[axis] / tilt_gradient.growth_per_px[axis];
             assert!((of_model - MODEL).abs() < 1e-9, "{tilt_gradient:?}");
         }
-        assert!(tilt_gradient(&[group(1, 0.0)], &Vector2::from(MIDDLE)).is_none());
+        assert!(tilt_gradient(&[group(1, 0.0)], None, &Vector2::from(MIDDLE)).is_none());
         assert!(
-            tilt_gradient(&[group(1, 0.0)[..20].to_vec(), group(2, 0.0)], &Vector2::zeros())
+            tilt_gradient(&[group(1, 0.0)[..20].to_vec(), group(2, 0.0)], None, &Vector2::zeros())
                 .is_none()
         );
     }
