@@ -157,7 +157,7 @@ impl Calibrated {
     /// Returns the errors of the parameters of a calibration.
     pub fn errors(&self, calibration: &Calibration) -> Result<Vec<ParameterError>> {
         let std_devs = calibration.uncertainty.intrinsic_std_devs(calibration.camera.lens_types());
-        parameter_errors(&self.shoot.settings.camera, &calibration.camera, &std_devs)
+        parameter_errors(&self.shoot.settings.true_camera()?, &calibration.camera, &std_devs)
     }
 
     /// Evaluates calibrations on the other boards. The cross-validation has so many folds, if there are any.
@@ -169,7 +169,7 @@ impl Calibrated {
         input.evaluation = of(Subset::Evaluation)?;
         let step_mm = shoot.settings.translation.step_mm;
         input.translation = Some((of(Subset::Translation)?, step_mm));
-        input.truth = Some(shoot.settings.camera.clone());
+        input.truth = Some(shoot.settings.true_camera()?);
         input.true_board = Some(BoardShape::default());
         input.evaluation_poses = Some(shoot.true_poses(Subset::Evaluation));
         input.poses.push(PosePairs {

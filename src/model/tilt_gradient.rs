@@ -130,6 +130,25 @@ mod tests {
     use super::*;
 
     #[test]
+    fn tilt_and_perspective_locate_the_exit_pupil() {
+        let tilt_gradient = |std_dev: f64| TiltGradient {
+            growth_per_px: [1e-5, -2e-5],
+            std_dev_per_px: [std_dev; 2],
+            shared_per_px: [0.0; 2],
+            by_aperture_ratio_per_px: [0.0; 2],
+            by_aperture_ratio_squared_per_px: [0.0; 2],
+        };
+        // The perspective is the growth of d over the distance from pupil to sensor, which is 400 d for a lens at 200 d.
+        let perspective = Vector2::new(1e-5, -2e-5) / 400.0;
+        let known = lens_over_pupil(Some(&tilt_gradient(2e-7)), &perspective, 200.0);
+        assert!((known.value - 0.5).abs() < 0.003 && known.std_dev < 0.006, "{known:?}");
+        let vague = lens_over_pupil(Some(&tilt_gradient(1e-4)), &perspective, 200.0);
+        let nothing = lens_over_pupil(Some(&tilt_gradient(2e-7)), &Vector2::zeros(), 200.0);
+        assert!((0.9..=1.0).contains(&vague.value) && vague.std_dev > 0.45, "{vague:?}");
+        assert_eq!(nothing, Estimate::new(1.0, PUPIL));
+    }
+
+    #[test]
     fn the_tilt_through_a_telecentric_lens_is_that_of_the_discs() {
         let measured = TiltGradient {
             growth_per_px: [1e-5, -2e-5],

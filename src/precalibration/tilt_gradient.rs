@@ -236,6 +236,26 @@ mod tests {
         }
     }
 
+    /// Two groups depend on H, which is wrong by 2 σ.
+    #[test]
+    fn an_error_of_the_angular_response_shows_in_groups_that_disagree() {
+        let (by_law, wrong) = (0.1, 2.0);
+        let depends = [true, true, false, false, false];
+        let groups_at = |h: f64| -> Vec<Vec<Growth>> {
+            let bias = |depends: bool| if depends { by_law * h } else { 0.0 };
+            (1..).zip(depends).map(|(seed, depends)| group(seed, bias(depends))).collect()
+        };
+        let middle = Vector2::from(MIDDLE);
+        let (assumed, otherwise) = (groups_at(-wrong), groups_at(1.0 - wrong));
+        let joint = tilt_gradient(&assumed, Some(&otherwise), &middle).unwrap();
+        let held = found(&assumed);
+        for (i, truth) in TILT_GRADIENT.into_iter().enumerate() {
+            let error = |of: &TiltGradient| (of.growth_per_px[i] - truth).abs();
+            assert!(error(&joint) < 2.0 * joint.std_dev_per_px[i], "{joint:?}");
+            assert!(error(&joint) < 0.5 * error(&held), "{joint:?} {held:?}");
+        }
+    }
+
     #[test]
     fn groups_that_disagree_are_less_certain() {
         let agree = found(&[group(1, 0.0), group(2, 0.0)]);

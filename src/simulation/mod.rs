@@ -45,7 +45,7 @@ pub use imaging::Imaging;
 pub use imperfections::{FallOffLaw, Imperfections, SecondStop};
 pub use prescription::{Prescription, Surface};
 pub use presets::{PRESETS, Preset};
-pub use real_lens::LensFigures;
+pub use real_lens::{AllLight, LensFigures};
 pub use scene::Scene;
 pub use settings::{Boards, Settings, TranslationStage, WhiteImages};
 pub use stage::{Progress, Simulated, Truth, simulate};

@@ -14,7 +14,7 @@ use super::ray::Ray;
 use super::scene::PlacedTarget;
 use crate::error::{Error, Result};
 
-/// Figures of a real lens in terms of the model, for rays close to the axis or to the middle of the pupil. F and the pupil
+/// Figures of a real lens in terms of the model, for rays close to the axis or to the middle of the pupil. Those of all light
 /// belong to the true camera; the others are for comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LensFigures {
@@ -40,6 +40,21 @@ pub struct LensFigures {
     pub q1_growth_per_mm2: f64,
     /// Spherical aberration e_r of the exit pupil seen from the array, mm⁻¹.
     pub pupil_aberration_per_mm: f64,
+    /// Figures for the light of the whole aperture.
+    pub all_light: AllLight,
+}
+
+/// Figures of a real lens for the light that fills its aperture. With spherical aberration, its best focus lies elsewhere on the
+/// chief ray than the paraxial image, at another magnification. So F and D differ, and the pupil's middle is the centroid of
+/// the light.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct AllLight {
+    /// Focal length F, mm.
+    pub focal_length_mm: f64,
+    /// Distance D to the array, mm.
+    pub lens_to_mla_mm: f64,
+    /// z of the exit pupil, e_z, mm.
+    pub exit_pupil_mm: f64,
 }
 
 /// One surface, as a ray from the sensor meets it.
@@ -223,13 +238,84 @@ impl RealLens {
 
     /// Returns the slope of the ray from a point behind the lens through the middle of the stop.
     pub fn chief_slope(&self, from: &Point3<f64>) -> Option<Vector2<f64>> {
+        self.stop_slope(from, &Vector2::zeros())
+    }
+
+    /// Returns the slope of the ray from a point behind the lens through a point of the stop, which is relative to its middle.
+    fn stop_slope(&self, from: &Point3<f64>, place: &Vector2<f64>) -> Option<Vector2<f64>> {
         let surfaces = &self.interfaces[..=self.stop];
-        let middle = self.interfaces[self.stop].vertex;
+        let place = self.interfaces[self.stop].vertex + place;
         let at_stop = |slope: Vector2<f64>| {
             let inner = Self::through::<false>(&Ray::from(from, slope), surfaces)?;
-            Some(inner.at.xy() - middle)
+            Some(inner.at.xy() - place)
         };
         newton(slope_towards(from, &self.exit_pupil), &at_stop).map(|(slope, _)| slope)
+    }
+
+    /// Returns the mean slope of the rays from a point behind the lens through all of the stop: the centroid of the area that
+    /// its rim encloses.
+    fn mean_slope(&self, from: &Point3<f64>) -> Option<Vector2<f64>> {
+        let radius = self.interfaces[self.stop].opening2.sqrt();
+        let slope = |turn: u32| {
+            let angle = std::f64::consts::TAU * f64::from(turn) / f64::from(RIM);
+            self.stop_slope(from, &(Vector2::new(angle.cos(), angle.sin()) * radius))
+        };
+        let rim: Vec<Vector2<f64>> = (0..RIM).map(slope).collect::<Option<_>>()?;
+        let (mut area, mut moment) = (0.0, Vector2::zeros());
+        for (a, b) in rim.iter().zip(rim.iter().cycle().skip(1)) {
+            let twice = a.perp(b);
+            area += twice;
+            moment += (a + b) * twice / 3.0;
+        }
+        Some(moment / area)
+    }
+
+    /// Returns z of the focus of an object point on the axis for the zone of the pupil with the best focus.
+    fn zone_focus(&self, object_mm: f64, lens_to_mla_mm: f64) -> Option<f64> {
+        let point = Point3::new(0.0, 0.0, object_mm);
+        let ideal = point * (self.focal_length / (self.focal_length - object_mm));
+        let ray = (-lens_to_mla_mm - ideal.z) / (self.exit_pupil.z - ideal.z);
+        let height = ZONE.sqrt() * self.exit_pupil_radius * ray;
+        let slope = |height: f64| -> Option<f64> {
+            let from = Point3::new(height, 0.0, -lens_to_mla_mm);
+            let map = |slope| self.miss(&point, &from, slope);
+            Some(newton(slope_towards(&from, &ideal), &map)?.0.x)
+        };
+        Some(-lens_to_mla_mm - 2.0 * height / (slope(height)? - slope(-height)?))
+    }
+
+    /// Computes the figures for all light from objects at two distances.
+    fn all_light(&self, objects_mm: [f64; 2], lens_to_mla_mm: f64) -> Option<AllLight> {
+        let height = FIGURES_HEIGHT * self.focal_length;
+        let slope = |height: f64| -> Option<f64> {
+            Some(self.mean_slope(&Point3::new(height, 0.0, -lens_to_mla_mm))?.x)
+        };
+        let exit_pupil_mm =
+            -lens_to_mla_mm - 2.0 * height / (slope(height)? - slope(-height)?);
+        // The best focus lies on the chief ray of the paraxial image.
+        let image = |object_mm: f64| -> Option<(f64, f64)> {
+            let magnification = self.focal_length / (object_mm - self.focal_length);
+            let (ideal, z) = (-magnification * object_mm, self.zone_focus(object_mm, lens_to_mla_mm)?);
+            Some((magnification * (exit_pupil_mm - z) / (exit_pupil_mm - ideal), z))
+        };
+        // An ideal lens has |m| = F/(Z − F) and z = −F (1 + |m|).
+        let [near, far] = objects_mm;
+        let (near_image, far_image) = (image(near)?, image(far)?);
+        let focal_length_mm = (far - near) / (1.0 / far_image.0 - 1.0 / near_image.0);
+        let moved = |(magnification, z): (f64, f64)| z + focal_length_mm * (1.0 + magnification);
+        let lens_to_mla_mm = lens_to_mla_mm + f64::midpoint(moved(near_image), moved(far_image));
+        Some(AllLight { focal_length_mm, lens_to_mla_mm, exit_pupil_mm })
+    }
+
+    /// Returns where the ray from a point behind the lens passes an object point; `None` if no ray leads there.
+    fn miss(
+        &self,
+        point: &Point3<f64>,
+        start: &Point3<f64>,
+        slope: Vector2<f64>,
+    ) -> Option<Vector2<f64>> {
+        let inner = Self::through::<false>(&Ray::from(start, slope), &self.interfaces)?;
+        Some(self.in_front(&inner).at(point.z) - point.xy().coords)
     }
 
     /// Returns the focus of the light of an object point that passes near `from`, a point behind the lens: the mean of the
@@ -244,10 +330,7 @@ impl RealLens {
         if point.z <= self.focal_length {
             return None;
         }
-        let miss = |start: &Point3<f64>, slope: Vector2<f64>| {
-            let inner = Self::through::<false>(&Ray::from(start, slope), &self.interfaces)?;
-            Some(self.in_front(&inner).at(point.z) - point.xy().coords)
-        };
+        let miss = |start: &Point3<f64>, slope: Vector2<f64>| self.miss(point, start, slope);
         let (slope, by_slope) = newton(slope_towards(from, near), &|slope| miss(from, slope))?;
         let by_place = jacobian(Vector2::zeros(), STEP_MM, &|off: Vector2<f64>| {
             miss(&(from + off.push(0.0)), slope)
@@ -303,6 +386,7 @@ impl RealLens {
             q1_per_mm2: q1,
             q1_growth_per_mm2: (q1 - q1_far) / less,
             pupil_aberration_per_mm: (crossing - self.exit_pupil.z) / height.powi(2),
+            all_light: self.all_light([object_mm, further_mm], lens_to_mla_mm)?,
         })
     }
 
@@ -342,6 +426,11 @@ const REACH_MARGIN: f64 = 2.0;
 const REACH_FURTHER: f64 = 0.05;
 const REACH_FIELDS: u32 = 9;
 const REACH_TURNS: u32 = 13;
+
+/// Square of the zone of the best focus over the squared radius of the pupil, as in the detection.
+const ZONE: f64 = 2.0 / 3.0;
+/// Number of points of the rim of the stop.
+const RIM: u32 = 16;
 
 /// Returns dx/dz and dy/dz from one point to another.
 fn slope_towards(from: &Point3<f64>, to: &Point3<f64>) -> Vector2<f64> {

@@ -230,7 +230,19 @@ impl Settings {
         Tracer::with_lens(&self.camera, lens, f_number, &self.imperfections, self.seed)
     }
 
-    /// Returns the paraxial figures of a real lens for boards at their mean distance; `None` for a thin lens.
+    /// Returns the camera that a calibration finds: `camera`, with F, D and e_z of a real lens for the light of its whole
+    /// aperture.
+    pub fn true_camera(&self) -> Result<PlenopticCamera> {
+        let mut camera = self.camera.clone();
+        if let Some(LensFigures { all_light, .. }) = self.lens_figures()? {
+            camera.main_lens.focal_length_mm = all_light.focal_length_mm;
+            camera.main_lens.exit_pupil_mm.z = all_light.exit_pupil_mm;
+            camera.mla.lens_to_mla_mm = all_light.lens_to_mla_mm;
+        }
+        Ok(camera)
+    }
+
+    /// Returns the figures of a real lens for boards at their mean distance; `None` for a thin lens.
     pub fn lens_figures(&self) -> Result<Option<LensFigures>> {
         let [near, far] = self.boards.depth_mm;
         let tracer = self.tracer(self.board_f_number())?;

@@ -33,7 +33,7 @@ impl Progress for () {
 /// and blur are smaller.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
-    /// True camera. With a real lens, it has the paraxial F and exit pupil, and neither distortion nor field curvature, which
+    /// True camera. With a real lens, it has F, D and the exit pupil of [all light](super::AllLight), and neither distortion nor field curvature, which
     /// have no true value.
     pub camera: PlenopticCamera,
     /// Paraxial figures of a real lens.
@@ -101,7 +101,7 @@ fn truth(settings: &Settings, data_set: &DataSet, tracer: &Tracer) -> Result<Tru
         point_spread_px2: Some(Estimate::exact(variance_px2)),
     };
     Ok(Truth {
-        camera: PlenopticCamera { edge_spread, ..settings.camera.clone() },
+        camera: PlenopticCamera { edge_spread, ..settings.true_camera()? },
         main_lens: settings.lens_figures()?,
         internal,
         centers: tracer.centers(),
