@@ -13,7 +13,7 @@ use crate::text::{Table, over_sigma, percent, signed, worst};
 const LENSES: [&str; 7] =
     ["double-gauss", "telephoto", "retrofocus", "petzval", "triplet", "tessar", "near-telecentric"];
 /// Places of the optical axis from the middle of the sensor, px.
-const PLACES: [[f64; 2]; 4] = [[0.0, 0.0], [15.0, -20.0], [150.0, 0.0], [0.0, 150.0]];
+const PLACES: [[f64; 2]; 3] = [[0.0, 0.0], [15.0, -20.0], [-90.0, 120.0]];
 /// Focal length of the prescriptions, mm.
 const LENS_FOCAL_LENGTH_MM: f64 = 100.0;
 const SEED: u64 = 10_001;

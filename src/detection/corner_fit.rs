@@ -204,9 +204,8 @@ impl Held<'_> {
         let by_radius = of(Column::BlurRadius);
         // The columns are S, b and M over A, and 1/A is γ − 1.
         let by_bend = by.fixed_columns::<5>(HELD - 5);
-        let by_slope =
-            by_radius * optics.blur_by_slope_px()
-                + by_bend * self.aberration.at(&self.center, optics.growth);
+        let by_slope = by_radius * optics.blur_by_slope_px()
+            + by_bend * self.aberration.at(&self.center, optics.growth);
         let mut by_taken = ByTaken::zeros();
         let columns = [
             (PUPIL, of(Column::Pupil) * optics.pupil_px),

@@ -122,7 +122,7 @@ fn stage_truth(output: &mut OutputFolder, target: &Target, simulated: &Simulated
             Error::invalid(format!("the figures of the lens cannot be written: {e}"))
         })?;
         let text = format!(
-            "# The main lens by rays close to its axis; see docs/simulation.md.\n{figures}"
+            "# The main lens by rays close to its axis, and by all light; see docs/simulation.md.\n{figures}"
         );
         output.stage("truth/main_lens.toml", |out| out.write_all(text.as_bytes()))?;
     }

@@ -161,9 +161,8 @@ impl Light {
         otherwise: Option<&[Vec<Gradient>]>,
     ) -> Option<TiltGradient> {
         let of_group = |group: &Vec<Gradient>| group.iter().map(|g| g.growth).collect();
-        let growths = |all: &[Vec<Gradient>]| -> Vec<Vec<Growth>> {
-            all.iter().map(of_group).collect()
-        };
+        let growths =
+            |all: &[Vec<Gradient>]| -> Vec<Vec<Growth>> { all.iter().map(of_group).collect() };
         tilt_gradient(&growths(gradients), otherwise.map(growths).as_deref(), &self.middle)
     }
 

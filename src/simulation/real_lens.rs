@@ -270,18 +270,18 @@ impl RealLens {
         Some(moment / area)
     }
 
-    /// Returns z of the focus of an object point on the axis for the zone of the pupil with the best focus.
-    fn zone_focus(&self, object_mm: f64, lens_to_mla_mm: f64) -> Option<f64> {
+    /// Returns z of the focus of an object point on the axis for the zone of the pupil with the best focus, by rays through
+    /// both ends of the zone in the exit pupil.
+    fn zone_focus(&self, object_mm: f64) -> Option<f64> {
         let point = Point3::new(0.0, 0.0, object_mm);
         let ideal = point * (self.focal_length / (self.focal_length - object_mm));
-        let ray = (-lens_to_mla_mm - ideal.z) / (self.exit_pupil.z - ideal.z);
-        let height = ZONE.sqrt() * self.exit_pupil_radius * ray;
+        let height = ZONE.sqrt() * self.exit_pupil_radius;
         let slope = |height: f64| -> Option<f64> {
-            let from = Point3::new(height, 0.0, -lens_to_mla_mm);
+            let from = self.exit_pupil + Vector3::x() * height;
             let map = |slope| self.miss(&point, &from, slope);
             Some(newton(slope_towards(&from, &ideal), &map)?.0.x)
         };
-        Some(-lens_to_mla_mm - 2.0 * height / (slope(height)? - slope(-height)?))
+        Some(self.exit_pupil.z - 2.0 * height / (slope(height)? - slope(-height)?))
     }
 
     /// Computes the figures for all light from objects at two distances.
@@ -290,12 +290,11 @@ impl RealLens {
         let slope = |height: f64| -> Option<f64> {
             Some(self.mean_slope(&Point3::new(height, 0.0, -lens_to_mla_mm))?.x)
         };
-        let exit_pupil_mm =
-            -lens_to_mla_mm - 2.0 * height / (slope(height)? - slope(-height)?);
+        let exit_pupil_mm = -lens_to_mla_mm - 2.0 * height / (slope(height)? - slope(-height)?);
         // The best focus lies on the chief ray of the paraxial image.
         let image = |object_mm: f64| -> Option<(f64, f64)> {
             let magnification = self.focal_length / (object_mm - self.focal_length);
-            let (ideal, z) = (-magnification * object_mm, self.zone_focus(object_mm, lens_to_mla_mm)?);
+            let (ideal, z) = (-magnification * object_mm, self.zone_focus(object_mm)?);
             Some((magnification * (exit_pupil_mm - z) / (exit_pupil_mm - ideal), z))
         };
         // An ideal lens has |m| = F/(Z − F) and z = −F (1 + |m|).

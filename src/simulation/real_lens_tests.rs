@@ -127,6 +127,27 @@ fn the_double_gauss_has_a_curved_field() {
     assert!((figures.exit_pupil_mm - 25.4 * 0.1464).abs() < 1e-3, "{figures:?}");
 }
 
+/// With a small aperture all light is paraxial; differences grow with the square of the aperture.
+#[test]
+fn all_light_of_a_small_aperture_is_paraxial() {
+    for name in ["double-gauss", "retrofocus", "tessar"] {
+        let of = |f_number: f64| {
+            let lens = RealLens::new(&Prescription::named(name).unwrap(), 25.4, f_number).unwrap();
+            let figures = lens.figures(120.0, 29.2).unwrap();
+            let all = figures.all_light;
+            let off = |value: f64, paraxial: f64| (value - paraxial).abs();
+            // Other aberrations of the pupil do not depend on the aperture.
+            let seen = -29.2 - all.exit_pupil_mm;
+            [off(all.focal_length_mm, 25.4), off(all.lens_to_mla_mm, 29.2), seen]
+        };
+        let [wide, middle, small] = [8.0, 16.0, 64.0].map(of);
+        assert!(small[0] < 2e-4 * 25.4 && small[1] < 2e-4 * 29.2, "{name}: {small:?}");
+        assert!((wide[0] / middle[0] - 4.0).abs() < 0.6, "{name}: {wide:?} {middle:?}");
+        let pupil = (wide[2] - small[2]) / (middle[2] - small[2]);
+        assert!((pupil - 4.0).abs() < 0.6, "{name}: {pupil}");
+    }
+}
+
 /// Two weak surfaces close together, with the stop between them, are a thin lens up to the third order of
 /// heights and slopes.
 #[test]

@@ -33,10 +33,10 @@ impl Progress for () {
 /// and blur are smaller.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
-    /// True camera. With a real lens, it has F, D and the exit pupil of [all light](super::AllLight), and neither distortion nor field curvature, which
-    /// have no true value.
+    /// True camera. With a real lens, it has F, D and the exit pupil of [all light](super::AllLight), and neither distortion nor
+    /// field curvature, which have no true value.
     pub camera: PlenopticCamera,
-    /// Paraxial figures of a real lens.
+    /// Figures of a real lens.
     pub main_lens: Option<LensFigures>,
     /// Internal parameters m and q'ᵢ.
     pub internal: InternalParameters,
