@@ -182,11 +182,10 @@ impl RawImage {
         if per_row == 0 {
             return;
         }
-        let step = (self.height / (2 * COMPARED)).max(1);
         let channel = |u, v| self.color.mosaic(u, v).unwrap_or_default();
         let square = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(u, v)| channel(u, v));
-        for (pair, rows) in samples.chunks_exact(2 * per_row).enumerate().step_by(step) {
-            let v = 2 * pair;
+        for pair in spread(self.height / 2, COMPARED) {
+            let (v, rows) = (2 * pair, &samples[2 * pair * per_row..][..2 * per_row]);
             if self.color == Color::Rgb {
                 for (i, rgb) in rows.chunks_exact(3).enumerate() {
                     let at = (i % self.width, v + i / self.width);
@@ -209,6 +208,20 @@ impl RawImage {
     }
 }
 
+/// Returns at most `most` of the numbers below `count`, spread over all of them at uneven distances: rows at even distances would
+/// meet rows of micro-images again and again at the same height.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // below `count`
+fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
+    /// Fractional part of the golden ratio, whose multiples are spread evenly modulo 1.
+    const GOLDEN: f64 = 0.618_033_988_749_895;
+    let step = count as f64 / most as f64;
+    let of = move |i: usize| match count <= most {
+        true => i,
+        false => ((i as f64 + (i as f64 * GOLDEN).fract()) * step) as usize,
+    };
+    (0..count.min(most)).map(of)
+}
+
 /// Returns the rectangle (left, top, width, height) of pixels that contains some positions with a margin of
 /// `reach`, cut at 0, and the position of its first pixel.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0
@@ -226,6 +239,20 @@ pub(crate) fn bounds(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rows_are_spread_at_uneven_distances() {
+        assert_eq!(spread(3, 256).collect::<Vec<_>>(), [0, 1, 2]);
+        let rows: Vec<usize> = spread(1534, 256).collect();
+        assert!(rows.len() == 256 && rows.is_sorted() && rows.iter().all(|row| *row < 1534));
+        // Rows of micro-images at any distance are met at all heights.
+        for distance in [5.99, 10.0, 20.13] {
+            let phases = rows.iter().map(|row| *row as f64 / distance * std::f64::consts::TAU);
+            let (sin, cos) =
+                phases.map(f64::sin_cos).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+            assert!(f64::hypot(sin, cos) < 0.15 * 256.0, "{distance}: {sin} {cos}");
+        }
+    }
 
     #[test]
     fn samples_of_12_bits_in_16_have_a_step() {

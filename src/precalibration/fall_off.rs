@@ -14,7 +14,7 @@ use super::disc_geometry::DiscGeometry;
 use super::options::PrecalibrationOptions;
 use super::rings::{Alike, Gradient};
 use super::samples::Samples;
-use super::tilt_gradient::{Growth, tilt_gradient};
+use super::tilt_gradient::{Group, tilt_gradient};
 use crate::checks::whites as checks;
 use crate::finding::Finding;
 use crate::image::Grey;
@@ -160,10 +160,15 @@ impl Light {
         gradients: &[Vec<Gradient>],
         otherwise: Option<&[Vec<Gradient>]>,
     ) -> Option<TiltGradient> {
-        let of_group = |group: &Vec<Gradient>| group.iter().map(|g| g.growth).collect();
-        let growths =
-            |all: &[Vec<Gradient>]| -> Vec<Vec<Growth>> { all.iter().map(of_group).collect() };
-        tilt_gradient(&growths(gradients), otherwise.map(growths).as_deref(), &self.middle)
+        let alike = || self.of_images.iter().flat_map(|(_, types)| types);
+        let of_group = |(group, alike): (&Vec<Gradient>, &Alike)| Group {
+            growths: group.iter().map(|g| g.growth).collect(),
+            is_clipped: alike.is_clipped(self.reach_px),
+        };
+        let groups = |all: &[Vec<Gradient>]| all.iter().zip(alike()).map(of_group).collect();
+        let (at, otherwise): (Vec<Group>, Option<Vec<Group>>) =
+            (groups(gradients), otherwise.map(groups));
+        tilt_gradient(&at, otherwise.as_deref(), &self.middle)
     }
 
     /// Returns the tilt gradient with the error of H, and its dependence on the aperture ratio, which white images do not show.

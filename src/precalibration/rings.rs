@@ -170,6 +170,11 @@ impl Alike {
         Self { images, mean }
     }
 
+    /// Returns true if light up to a distance is clipped.
+    pub fn is_clipped(&self, reach: f64) -> bool {
+        self.mean.iter().any(|ring| ring.radius > 0.0 && ring.radius < reach && !ring.whole)
+    }
+
     /// Fits g and the growth of every micro-image that shows them, to its light up to a distance. `discs` are the model
     /// of the light.
     pub fn gradients(&self, reach: f64, discs: &DiscLight) -> Vec<Gradient> {
