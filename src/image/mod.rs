@@ -215,9 +215,8 @@ fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
     /// Fractional part of the golden ratio, whose multiples are spread evenly modulo 1.
     const GOLDEN: f64 = 0.618_033_988_749_895;
     let step = count as f64 / most as f64;
-    let of = move |i: usize| match count <= most {
-        true => i,
-        false => ((i as f64 + (i as f64 * GOLDEN).fract()) * step) as usize,
+    let of = move |i: usize| {
+        if count <= most { i } else { ((i as f64 + (i as f64 * GOLDEN).fract()) * step) as usize }
     };
     (0..count.min(most)).map(of)
 }
