@@ -393,6 +393,10 @@ issues! {
     LensTypesDisagree "lens-types-disagree" { agreement: f64 } =>
         format!("only {:.0} % of the micro-images have the size of their lens type: the image is noisy or not white, or the types do not follow the lattice", 100.0 * agreement),
         NONE;
+    /// Micro-images of one lens type alternate in size.
+    AlternatingSizes "alternating-sizes" { apart: f64 } =>
+        format!("its micro-images alternate in size by {:.1} %, as behind two types of micro-lenses, but arrays have one type or three", 100.0 * apart),
+        "calibrate arrays with one or three lens types; focal lengths of two types would be mixed";
     /// Neighbouring micro-images differ in brightness.
     NotWhite "not-white" { uneven: f64 } =>
         format!("{:.0} % of its micro-images differ clearly in brightness from their neighbours", 100.0 * uneven),

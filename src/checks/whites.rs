@@ -191,6 +191,11 @@ pub(crate) fn left_out(measured: usize, dark: usize, misplaced: usize) -> Option
     many.then(|| Finding::note(Issue::MicroImagesLeftOut { dark, misplaced, all }))
 }
 
+/// Finds micro-images of two lens types, whose radii differ by a part of their mean, in an array of one type.
+pub(crate) fn alternating(apart: Option<f64>) -> Option<Finding> {
+    apart.map(|apart| Finding::unusable(Issue::AlternatingSizes { apart }))
+}
+
 /// Finds an image that is no white image, over-exposed, or not regular. The values are the part of its micro-images that are
 /// not as bright as their neighbours, the root mean square distance from the grid and the pitch, the stretch of the lattice, and
 /// the part of saturated pixels.

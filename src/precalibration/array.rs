@@ -60,6 +60,9 @@ pub struct LensTypes {
     /// Fraction of all micro-images of the reference whose size is nearest to the size of neighbours of their own lens
     /// type; `None` for one type, or if sizes were not measured.
     pub agreement: Option<f64>,
+    /// Difference of the radii of micro-images that alternate in size although they count as one type, relative to their mean:
+    /// two lens types. `None` if they do not alternate.
+    pub alternating: Option<f64>,
 }
 
 impl LensTypes {
@@ -69,7 +72,7 @@ impl LensTypes {
     /// Creates lens types whose number is known from elsewhere.
     #[must_use]
     pub const fn stated(types: usize) -> Self {
-        Self { types, separation: None, agreement: None }
+        Self { types, separation: None, agreement: None, alternating: None }
     }
 }
 

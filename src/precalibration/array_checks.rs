@@ -42,6 +42,7 @@ pub fn array_findings(array: &ArrayMeasurement, image: &RawImage) -> Vec<Finding
     of_array
         .into_iter()
         .chain(checks::left_out(array.centers.len(), out.dark, out.misplaced))
+        .chain(checks::alternating(array.lens_types.alternating))
         .collect()
 }
 

@@ -186,3 +186,31 @@ fn an_array_is_found_between_holes() {
     assert!(of_grid < 0.3, "{of_grid}");
     assert!(codes(&array_findings(&array, &image)).contains(&"micro-images-left-out"));
 }
+
+/// An array of two lens types, in rows or as a chessboard.
+#[test]
+fn micro_images_that_alternate_in_size_are_of_two_types() {
+    let pitch = 14.0;
+    for (hexagonal, chessboard) in [(true, false), (false, false), (false, true)] {
+        for wider in [0.0, 0.04] {
+            let discs: Vec<(Vector2<f64>, f64)> = nodes(hexagonal, 14)
+                .iter()
+                .map(|node| {
+                    let row = if hexagonal { node.y / 0.75_f64.sqrt() } else { node.y };
+                    let index = row.round() + if chessboard { node.x } else { 0.0 };
+                    let is_odd = (index / 2.0).fract().abs() > 0.25;
+                    let radius = 0.4 * pitch * if is_odd { 1.0 + wider } else { 1.0 };
+                    ((node * pitch).add_scalar(200.0), radius)
+                })
+                .collect();
+            let image = drawn((400, 400), &discs);
+            let array = measure_array(&image, None).unwrap();
+            let expected: &[&str] = if wider > 0.0 { &["alternating-sizes"] } else { &[] };
+            assert_eq!(
+                codes(&array_findings(&array, &image)),
+                expected,
+                "{hexagonal} {chessboard}"
+            );
+        }
+    }
+}
