@@ -10,6 +10,7 @@
 mod clean;
 mod edits;
 mod features;
+mod kinds;
 mod listed;
 mod outcome;
 mod pixels;
@@ -82,7 +83,7 @@ fn main() -> ExitCode {
     let mut mistakes: Vec<Mistake> =
         [stated::mistakes(), listed::mistakes(), processed::mistakes(), shot::mistakes()]
             .into_iter()
-            .chain([features::mistakes(), clean::sets()])
+            .chain([features::mistakes(), kinds::mistakes(), clean::sets()])
             .flatten()
             .collect();
     let names: Vec<String> = mistakes.iter().map(|m| m.name.clone()).collect();
