@@ -21,7 +21,7 @@ help:
 	@echo "make test-all   also reports in a browser, shell completions, manual pages; installs Chromium"
 	@echo "make test-slow  the slow tests (Monte Carlo, bias of corners, large images)"
 	@echo "make test-misuse    what becomes of 308 uses of a calibrated camera, wrong and right ones (some minutes)"
-	@echo "make test-mistakes  what becomes of 470 users' mistakes and 100 clean sets (an hour)"
+	@echo "make test-mistakes  what becomes of 500 users' mistakes and 100 clean sets (an hour)"
 	@echo "make test-faults  kills, full and broken disks, pipes and links (some minutes)"
 	@echo "make test-large   memory of every command on the largest input that it accepts (an hour; 20 GB of disk)"
 	@echo "make fuzz       a million damaged files, solves, cameras in use and runs (half an hour); FUZZ=\"--cases N\" or a target"

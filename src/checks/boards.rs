@@ -1,7 +1,7 @@
 //! Checks of images of boards, and of the boards found in them.
 
 use crate::finding::{CornerNumbering, Finding, Issue};
-use crate::model::{Board, Subset, at_most_full};
+use crate::model::{Board, Subset};
 use crate::numerics::median;
 use crate::quantity::Estimate;
 
@@ -76,8 +76,8 @@ pub(crate) fn aperture_ratio(
     std_dev: f64,
     estimated: Estimate,
 ) -> Option<Finding> {
-    // The ratio of the calibration is at most 1, so the estimate is limited too.
-    let change = (at_most_full(&estimated).value - fitted_with).abs();
+    // No opening is wider than its lens: ratios above 1 are errors of both estimates, and do not differ.
+    let change = (estimated.value.min(1.0) - fitted_with.min(1.0)).abs();
     let std_dev = estimated.std_dev.hypot(std_dev);
     let differs = change > SAME_RATIO * estimated.value && change > RATIO_STD_DEVS * std_dev;
     differs.then(|| Finding::caution(Issue::ApertureRatioOfOtherBoards { fitted_with, estimated }))

@@ -67,6 +67,8 @@ mod tests {
         };
         let (wide, narrow) = (of(1.04, 0.004), of(0.93, 0.004));
         assert_eq!(told(at_most_full(&wide), wide), None);
+        assert_eq!(told(of(1.02, 0.001), wide), None);
+        assert!(told(of(1.02, 0.001), narrow).is_some());
         assert_eq!(told(narrow, of(0.945, 0.004)), None);
         let finding = told(narrow, of(0.96, 0.004)).unwrap();
         assert_eq!(finding.code(), "aperture-ratio-of-other-boards");
