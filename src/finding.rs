@@ -396,7 +396,7 @@ issues! {
     /// Micro-images of one lens type alternate in size.
     AlternatingSizes "alternating-sizes" { apart: f64 } =>
         format!("its micro-images alternate in size by {:.1} %, as behind two types of micro-lenses, but arrays have one type or three", 100.0 * apart),
-        "calibrate arrays with one or three lens types; focal lengths of two types would be mixed";
+        "use a camera with one or three lens types: plenocal would average the focal lengths of two types";
     /// Neighbouring micro-images differ in brightness.
     NotWhite "not-white" { uneven: f64 } =>
         format!("{:.0} % of its micro-images differ clearly in brightness from their neighbours", 100.0 * uneven),

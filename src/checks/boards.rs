@@ -76,7 +76,7 @@ pub(crate) fn aperture_ratio(
     std_dev: f64,
     estimated: Estimate,
 ) -> Option<Finding> {
-    // No opening is wider than its lens: ratios above 1 are errors of both estimates, and do not differ.
+    // No opening is wider than its lens. Estimates above 1 are errors, so they are compared as 1.
     let change = (estimated.value.min(1.0) - fitted_with.min(1.0)).abs();
     let std_dev = estimated.std_dev.hypot(std_dev);
     let differs = change > SAME_RATIO * estimated.value && change > RATIO_STD_DEVS * std_dev;

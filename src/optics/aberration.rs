@@ -212,7 +212,7 @@ mod tests {
             let bend = aberration.bend(&center, 0.0, 0.75);
             let found = bend.at(&Vector2::new(3.0, 4.0));
             assert!((found + expected * 0.25).norm() < 1e-9, "{i}: {found}");
-            // The same ray where d is larger by a fifth.
+            // Where d is larger by a fifth, the ray arrives at 1.2 w.
             let found = aberration.bend(&center, 0.2, 0.75).at(&Vector2::new(3.6, 4.8));
             assert!((found + expected * 0.25).norm() < 1e-9, "{i}: {found}");
         }

@@ -75,7 +75,7 @@ pub(super) struct Known {
     pub pitch_px: f64,
     /// H relative to the H of cos⁴, from G.
     pub within: Estimate,
-    /// Distance L of the exit pupil from the sensor over d, as far as it is known.
+    /// Ratio of the distance L = D + e_z + d from exit pupil to sensor to d, as estimated from tilt and perspective.
     pub pupil_to_sensor: f64,
     /// Shape of the openings of the micro-lenses.
     pub opening: Opening,

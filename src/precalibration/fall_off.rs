@@ -49,7 +49,7 @@ pub(super) struct Measured {
     pub fall_off: FallOff,
     /// Tilt gradient of the array, if it shows.
     pub tilt_gradient: Option<TiltGradient>,
-    /// Distance L = D + e_z + d of the exit pupil from the sensor over d.
+    /// Ratio of the distance L = D + e_z + d from exit pupil to sensor to d.
     pub pupil_to_sensor: f64,
     /// Finding if the angular response was not measured.
     pub finding: Option<Finding>,
@@ -141,7 +141,7 @@ impl Light {
             "light falls off by {growth:.3} ± {std_dev:.3} of cos⁴ over the image, about {:.1?} px",
             measured.middle_px,
         );
-        // The same law inside micro-images: H = G (D + e_z + d)/d.
+        // Inside micro-images the same law applies, so that H = G (D + e_z + d)/d.
         let within_per_px2 = measured.growth_per_px2 * pupil_to_sensor;
         // The larger side of the error of a quotient: the pupil may be far away.
         let of_pupil = pupil.std_dev / (pupil.value - pupil.std_dev).max(pupil.std_dev);

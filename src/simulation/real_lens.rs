@@ -14,8 +14,8 @@ use super::ray::Ray;
 use super::scene::PlacedTarget;
 use crate::error::{Error, Result};
 
-/// Figures of a real lens in terms of the model, for rays close to the axis or to the middle of the pupil. Those of all light
-/// belong to the true camera; the others are for comparison.
+/// Figures of a real lens in terms of the model, for rays close to the axis or to the middle of the pupil. The true camera
+/// has those of `all_light`; the others are for comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LensFigures {
     /// Focal length F, mm.

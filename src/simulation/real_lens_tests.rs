@@ -127,7 +127,7 @@ fn the_double_gauss_has_a_curved_field() {
     assert!((figures.exit_pupil_mm - 25.4 * 0.1464).abs() < 1e-3, "{figures:?}");
 }
 
-/// With a small aperture all light is paraxial; differences grow with the square of the aperture.
+/// Figures for all light approach the paraxial ones with the square of the aperture.
 #[test]
 fn all_light_of_a_small_aperture_is_paraxial() {
     for name in ["double-gauss", "retrofocus", "tessar"] {

@@ -112,8 +112,15 @@ fn boards() -> Vec<Mistake> {
     ]
 }
 
+/// `mini` with a dark image of zeros.
+fn with_black_image(width: u32, height: u32) -> Set {
+    let set = Set::mini();
+    let image = image::GrayImage::new(width, height);
+    image.save(set.path().join("dark.png")).expect("it is written");
+    with_images(set, "dark = \"dark.png\"")
+}
+
 fn dark() -> Vec<Mistake> {
-    let dark = |file: &str| format!("dark = \"{file}\"");
     let named = Refused(&["dark"]);
     vec![
         images("dark: no such file", "dark = \"dark.png\"", named),
@@ -124,22 +131,10 @@ fn dark() -> Vec<Mistake> {
         mistake("dark: a text file", named, move || {
             let set = Set::mini();
             set.write("dark.png", "dark");
-            with_images(set, &dark("dark.png"))
-        }),
-        mistake("dark: another size", named, || {
-            let set = Set::mini();
-            let samples = vec![0_u8; 500 * 400];
-            let image = image::GrayImage::from_raw(500, 400, samples).expect("it has this size");
-            image.save(set.path().join("dark.png")).expect("it is written");
             with_images(set, "dark = \"dark.png\"")
         }),
-        mistake("dark: nothing but zeros", Right, || {
-            let set = Set::mini();
-            let samples = vec![0_u8; 1000 * 750];
-            let image = image::GrayImage::from_raw(1000, 750, samples).expect("it has this size");
-            image.save(set.path().join("dark.png")).expect("it is written");
-            with_images(set, "dark = \"dark.png\"")
-        }),
+        mistake("dark: another size", named, || with_black_image(500, 400)),
+        mistake("dark: nothing but zeros", Right, || with_black_image(1000, 750)),
     ]
 }
 
