@@ -231,10 +231,17 @@ impl Settings {
     }
 
     /// Returns the camera that a calibration finds: `camera`, with F, D and e_z of a real lens for the light of its whole
-    /// aperture.
+    /// aperture. Fails if rays of the lens do not determine these.
     pub fn true_camera(&self) -> Result<PlenopticCamera> {
         let mut camera = self.camera.clone();
-        if let Some(LensFigures { all_light, .. }) = self.lens_figures()? {
+        let figures = self.lens_figures()?;
+        if self.prescription.is_some() && figures.is_none() {
+            return Err(Error::invalid(
+                "rays through the rim of the stop miss a surface of the lens, so that its F is \
+                 not known: stop it down, or correct its surfaces",
+            ));
+        }
+        if let Some(LensFigures { all_light, .. }) = figures {
             camera.main_lens.focal_length_mm = all_light.focal_length_mm;
             camera.main_lens.exit_pupil_mm.z = all_light.exit_pupil_mm;
             camera.mla.lens_to_mla_mm = all_light.lens_to_mla_mm;
